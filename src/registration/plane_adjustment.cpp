@@ -206,7 +206,7 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
         equations.add_zero_prior(k, prior_.pull, block_of(corrections, k));
         if (k + 1 == track_.pose.size()) break;
         const glm::dvec3 offset_m = track_.pose[k + 1].translation - track_.pose[k].translation;
-        // The twist of the earlier pose is that of the later pose, seen from its position.
+        // The twist of the earlier pose is that of the later pose, seen from its place.
         const Matrix6 carry_back = twist_transfer(-offset_m);
         Matrix6 weights = hold_stiffness(unobserved[k + 1]) +
                           carry_back.transpose() * hold_stiffness(unobserved[k]) * carry_back;

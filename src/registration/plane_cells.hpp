@@ -27,10 +27,10 @@ struct LocalPlane {
     /// Standard deviations of the tilts of `normal` towards u and v.
     double tilt_u_rad = 0.0, tilt_v_rad = 0.0;
 
-    /// Computes the tilts of a plane that was fitted to n points. The variance of a tilt is
+    /// Computes the tilts of a plane that was fitted to n points. The variance of a tilt:
     /// variance along the normal / (n * variance along u) + kMinTilt_rad^2
-    /// because surfaces are curved, and cells contain edges. So points share their errors,
-    /// and more than kMaxPoints of them do not help.
+    /// Surfaces are curved and cells contain edges, so points share their errors, and
+    /// more than kMaxPoints of them do not help.
     void set_tilts(double n_points, double normal_variance_m2, double u_variance_m2, double v_variance_m2) {
         constexpr double kMaxPoints = 10.0, kMinTilt_rad = 0.03;
         const double variance_m2 = std::max(normal_variance_m2, 0.0) / std::min(n_points, kMaxPoints);

@@ -98,8 +98,8 @@ SinglePoseEquations& SinglePoseEquations::operator+=(const SinglePoseEquations& 
 double SinglePoseEquations::move_pose(Pose& pose, const Pose& start,
                                       const std::vector<UnobservedMotion>& unobserved) const {
     if (empty()) return 0.0;
-    // Solves (H + P) x = -(g + P c). H: stiffness, g: gradient, P: prior, c: correction of
-    // the pose so far. P is weak, except for motions that the points do not show.
+    // Solves (H + P) x = -(g + P c). H: stiffness, g: gradient, P: prior, c: correction
+    // so far. P is weak, except for motions that the points do not show.
     Matrix6 prior = hold_stiffness(unobserved);
     prior.diagonal().head<3>().array() += point_weight(kStartSigma_m);
     prior.diagonal().tail<3>().array() += point_weight(kStartSigma_rad);

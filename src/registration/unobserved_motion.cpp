@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-// Stiffness against an unobserved motion, as a multiple of its greatest false information.
+// Stiffness against an unobserved motion, as a multiple of min_information().
 constexpr double kHold = 1000.0;
 // The stiffness falls with this power of the information above min_information(). So half
 // of a motion is hidden at 1.5 times this information, and less than 1 % at twice.

@@ -23,8 +23,8 @@ inline Vector6 to_vector(const Twist& twist) { return Eigen::Map<const Vector6>(
 /// them, weak information is better than a guess.
 inline double min_information(bool has_given_poses) { return has_given_poses ? 10.0 : 2.0; }
 
-/// Returns the motions v with v^T H v < 2 min_information v^T N v. From min_information on,
-/// they are hidden less and less, so that small changes of the points change little.
+/// Returns the motions v with v^T H v < 2 min_information v^T N v. From min_information
+/// on, they are hidden less and less, so that small changes of the points change little.
 /// @param information  H, normal matrix of the points by the twist of the pose
 /// @param noise  N, expected value of H if only errors of the normals contributed to it
 std::vector<UnobservedMotion> find_unobserved(const Matrix6& information, const Matrix6& noise,

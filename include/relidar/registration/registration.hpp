@@ -120,8 +120,9 @@ struct ScanAlignment {
 /// Aligns one pose of the vehicle with a scene. The scene and all other poses stay fixed:
 ///   min over the pose of  sum over points p of rho(n . (p - q)),
 ///   rho as in register_scans()
-/// The pose keeps the given unobserved motions. q and n are point and normal of the surface that the scene shows along the ray of p,
-/// rendered again after each Gauss-Newton step. Uses all LiDARs that swept at that time.
+/// The pose keeps the given unobserved motions. q and n are point and normal of the
+/// surface that the scene shows along the ray of p, rendered again after each
+/// Gauss-Newton step. Uses all LiDARs that swept at that time.
 /// @param pose  index into Log::world_from_vehicle
 /// @param unobserved  find_unobserved_motions() of this pose
 ScanAlignment align_scan(const Log& sequence, std::size_t pose, const SceneCaster& scene_view,
