@@ -354,6 +354,7 @@ rendering() {
     check "--force changed a file that no scans.json lists" grep -qx mine theirs/rosbag.mcap
     bad 2 "recorded: .*\(3 " render run --out recorded --format mcap
     good render run --out drawn --frames 2:4 --sample 7
+    bad 2 "--sample: .*2\^64" render run --out x --frames 2:4 --sample 18446744073709551616
     good render run --out drawn_again --frames 3:4 --sample 7
     good render run --out drawn_otherwise --frames 3:4 --sample 8
     check "two scans drawn with one seed differ" cmp -s drawn/frame_000003.npz drawn_again/frame_000003.npz
