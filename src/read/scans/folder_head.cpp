@@ -344,7 +344,7 @@ void read_place(SequenceHeader& header, const JsonField& root) {
         header.georeference = read_georeference(root.at("georeference"));
         if (has_proj()) {  // The converter rejects unsuitable projections.
             const std::string note = GeoConverter(*header.georeference).scale_note();
-            if (!note.empty()) header.notes.push_back(note);
+            if (!note.empty()) header.notes.push_back({"map_scale", -1, note});
         }
     }
     if (root.has_member("world_offset_m")) {
