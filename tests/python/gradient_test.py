@@ -158,6 +158,8 @@ class Gradient(TestCase):
         self.assert_fails(relidar.DataError, "C order", forward, np.asfortranarray(origins), directions)
         self.assert_fails(relidar.DataError, "C order", forward, origins[::2], directions[::2])
         self.assert_fails(relidar.DataError, "39 directions ... 40", forward, origins, directions[:39])
+        self.assert_fails(relidar.DataError, "ray 0 ... length 1", forward, origins, 3 * directions)
+        self.assert_fails(relidar.DataError, "ray 0 ... finite", forward, np.nan * origins, directions)
         self.assert_fails(relidar.DataError, "list", forward, origins.tolist(), directions)
         self.assert_fails(relidar.DataError, ">f4", forward, origins.astype(">f4"), directions)
         self.assert_fails(relidar.DataError, "depth ... float32 [3] ... float32 [40]", backward, {"depth": three})

@@ -373,6 +373,32 @@ class Torch(TestCase):
         with self.assertRaises(relidar.UsageError):
             relidar.torch.render(relidar.torch.Scene.from_run(run()), frame, present=[True])
 
+    def test_poses_replace_those_of_a_frame(self):
+        scene, frame = relidar.torch.Scene.from_run(run()), relidar.torch.Frame(run(), log(), 2)
+        poses = np.stack([relidar.pose(0.1 * i, 0, 0, 2 * i, 0, 0) for i in range(len(scene.instances))])
+        out = relidar.torch.render(scene, frame, poses=poses, sensor=torch.eye(4))
+        scene.renderer.place(poses, frame.view_origin)
+        rays = frame.rays.numpy()
+        expected = scene.renderer.forward(np.ascontiguousarray(rays[:, :3]), np.ascontiguousarray(rays[:, 3:6]))
+        self.assert_same(out["depth"].detach().numpy(), expected["depth"])
+        self.assertEqual(scene.instances["background"], 0)
+        for name, index in scene.instances.items():
+            self.assertEqual(run().scene.instances[index]["track"], "" if name == "background" else name)
+
+    def test_no_rays(self):
+        """A mask may select no ray. Gradients of such a batch are 0."""
+        for training in False, True:
+            case = TorchCase(training=training)
+            none = case.tensor[case.tensor[:, 0] > 1e9].requires_grad_()
+            out = case.render(rays=none)
+            full = case.render()
+            self.assertEqual(out.keys(), full.keys())
+            for name, values in out.items():
+                self.assertEqual((tuple(values.shape), values.dtype), ((0,), full[name].dtype), name)
+            sum(out[name].sum() for name in UPSTREAM).backward()
+            self.assertFalse(case.scene.means.grad.to_dense().any())
+            self.assertEqual(none.grad.shape, (0, 6))
+
     def test_bad_input(self):
         case = TorchCase()
         render, scene, rays = relidar.torch.render, case.scene, case.tensor
@@ -385,7 +411,13 @@ class Torch(TestCase):
         self.assert_fails(relidar.DataError, "sensor: ", render, scene, rays, sensor=torch.zeros(3))
         self.assert_fails(relidar.DataError, "sensor: ", render, scene, rays, sensor=2 * torch.eye(4))
         self.assert_fails(relidar.DataError, "NoneType", render, scene, None)
-        self.assert_fails(relidar.DataError, "no rays", render, scene, rays[:0])
+        for change in 3.0, 0.0, np.nan, np.inf:
+            wrong = rays.clone()
+            wrong[7, 3:6] *= change
+            self.assert_fails(relidar.DataError, "rays: ray 7 ... length 1", render, scene, wrong)
+        wrong = rays.clone()
+        wrong[3, 0] = np.nan
+        self.assert_fails(relidar.DataError, "rays: ray 3 ... finite", render, scene, wrong)
         opaque = torch.ones(32, requires_grad=True)
         render(scene, rays, opacities=opaque)["intensity"].sum().backward()
         self.assertTrue(torch.isfinite(opaque.grad).all())

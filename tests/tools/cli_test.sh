@@ -240,6 +240,43 @@ layouts() {
     absent x
 }
 
+# Files on a map of the earth, from a world that is turned by 45 degrees against it.
+on_earth() {
+    local python crs plane="+proj=pipeline +step +proj=cart +ellps=WGS84 +step +proj=topocentric +ellps=WGS84 +lat_0=49.015 +lon_0=8.434 +h_0=116.4"
+    printf '{"latitude_deg": 49.015, "longitude_deg": 8.434, "height_m": 116.4, "world_point_m": [3, 2, 1], "crs": "%s",
+        "rotation": [0.9238795325112867, 0, 0, 0.3826834323650898]}' "$plane" >place.json
+    bad 2 "--crs EPSG:32632: .*georeference" export run --out path.csv --crs EPSG:32632
+    bad 2 "--latitudes: .*georeference" export run --out path.csv --latitudes
+    good edit run --georeference place.json --out placed
+    good info placed
+    says "^on earth .*latitude 49\.015.*turned by 45\.00 degrees"
+    if "$relidar" export placed --out latitudes.csv --latitudes 2>&1 | grep -q "without PROJ"; then
+        echo "note: relidar was built without PROJ, positions on the earth are not tested"
+        return
+    fi
+    for crs in EPSG:2263 EPSG:3857 EPSG:4978; do bad 3 "$crs" export placed --out path.csv --crs $crs; done
+    bad 2 "--format npz" render placed --out x --crs EPSG:32632
+    good export placed --points local.las
+    check "nobody says that the las has no coordinate system" grep -q -- "--crs EPSG:32632" err
+    find_numpy
+    if [[ $python != none ]]; then
+        good export placed --points local.ply
+        good export placed --points utm.las --crs EPSG:32632
+        good export placed --out path.csv
+        good export placed --out utm.csv --crs EPSG:32632
+        good render placed --out turned --format ply --frame world --channels normal --frames 2:4
+        good render placed --out utm --format ply,las --crs EPSG:32632 --channels normal --frames 2:4
+        "$python" "$tests/read_map.py" placed/scene.json local.ply utm.las path.csv utm.csv turned utm >err 2>&1
+        check "read_map.py finds faults" test $? = 0
+    fi
+    good edit run --georeference latitudes.csv --out fitted
+    good export fitted --out fitted.csv --crs EPSG:32632
+    paste -d, utm.csv fitted.csv | awk -F, 'NR > 1 && (($2 - $9) ^ 2 + ($3 - $10) ^ 2 > 1e-4) { exit 1 }'
+    check "the path that was fitted to its latitudes is elsewhere" test $? = 0
+    printf 'time_s,latitude_deg,height_m\n0,49,0\n' >fixes.csv
+    bad 3 "longitude_deg" edit run --georeference fixes.csv --out x
+}
+
 # Uses numpy and OpenEXR's tool, if they are installed.
 foreign_readers() {
     local python
@@ -317,6 +354,7 @@ rendering() {
     check "--force changed a file that no scans.json lists" grep -qx mine theirs/rosbag.mcap
     bad 2 "recorded: .*\(3 " render run --out recorded --format mcap
     good render run --out drawn --frames 2:4 --sample 7
+    bad 2 "--sample: .*2\^64" render run --out x --frames 2:4 --sample 18446744073709551616
     good render run --out drawn_again --frames 3:4 --sample 7
     good render run --out drawn_otherwise --frames 3:4 --sample 8
     check "two scans drawn with one seed differ" cmp -s drawn/frame_000003.npz drawn_again/frame_000003.npz
@@ -926,6 +964,7 @@ if "$relidar" list devices >out 2>err; then
     rendering
     ray_drop
     own_paths
+    on_earth
     editing
     keeping_assets
     wrong_edits

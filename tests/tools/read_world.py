@@ -80,10 +80,11 @@ def check_map(path, points, spacing):
     check(f"{path}: covers {shared} of the cells of the scans", 0.98 < shared < 1.02)
 
 
-summary = json.load(open(sys.argv[2] + "/scans.json"))
-shift = np.array([float(v) for v in sys.argv[3:6]])
-clouds = [check_scan(sys.argv[1], sys.argv[2], summary, shift, scan) for scan in summary["scans"]]
-check("scans.json names no scan", len(clouds) > 0)
-if len(sys.argv) > 6:
-    check_map(sys.argv[6], np.concatenate(clouds), 0.05)
-finish()
+if __name__ == "__main__":
+    summary = json.load(open(sys.argv[2] + "/scans.json"))
+    shift = np.array([float(v) for v in sys.argv[3:6]])
+    clouds = [check_scan(sys.argv[1], sys.argv[2], summary, shift, scan) for scan in summary["scans"]]
+    check("scans.json names no scan", len(clouds) > 0)
+    if len(sys.argv) > 6:
+        check_map(sys.argv[6], np.concatenate(clouds), 0.05)
+    finish()

@@ -54,7 +54,7 @@ rig = {"sensors": [{"name": name, "sensor": sensor} for name, sensor in sensors.
 said = run("render", "run", "--out", "scans", "--trajectory", "path.csv", "--times", "0.4:0.6:0.1", "--sensor", "rig.json",
            "--format", "npz,pcap,rosbag")
 scans = WORK / "scans"
-ports = {"front": 2368, "rear": 2370, "side": 2368, "roof": 7502, "view": 7504, "narrow": 2372}
+ports = {"front": 2368, "rear": 2370, "side": 2372, "roof": 7502, "view": 7504, "narrow": 2374}
 bag = (scans / "rosbag.mcap").read_bytes()
 n_packets = {}
 for name, port in ports.items():

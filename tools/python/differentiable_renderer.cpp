@@ -2,6 +2,7 @@
 #include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <map>
 #include <tuple>
 
@@ -130,6 +131,16 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
     if (rays.origin.size() != rays.direction.size())
         fail("directions: found {} directions and {} origins, expected the same number",
              rays.direction.size(), rays.origin.size());
+    constexpr float kMaxLengthError = 1e-3f;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        const glm::vec3 &origin = rays.origin[i], &direction = rays.direction[i];
+        const bool is_finite = std::isfinite(origin.x + origin.y + origin.z);
+        if (!is_finite || !(std::abs(glm::length(direction) - 1.0f) < kMaxLengthError))
+            fail(
+                "directions: ray {} starts at ({}, {}, {}) and has a direction of length {}, expected finite "
+                "numbers and length 1",
+                i, origin.x, origin.y, origin.z, glm::length(direction));
+    }
     RenderedRayValues rendered = renderer.use([&](Renderer& drawn) { return drawn.render_rays(rays); });
     // backward() needs this number for the shape of its gradients.
     renderer.n_rays = rays.size();

@@ -4,12 +4,16 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
+#include <vector>
 
 #include <glm/glm.hpp>
 #include <glm/gtc/quaternion.hpp>
 
 namespace relidar {
+
+struct Pose;
 
 /// Degrees on the WGS 84 ellipsoid, and metres above it.
 struct GeodeticPosition {
@@ -22,7 +26,8 @@ struct Georeference {
     GeodeticPosition position;
     glm::dvec3 point_m{0.0};  ///< the same point in the dataset's world frame
     /// The projection P: a code such as EPSG:32632, or a PROJ string that converts
-    /// longitude and latitude to metres, such as "+proj=merc +R=6378137".
+    /// longitude and latitude to metres, such as "+proj=merc +R=6378137". Its z is the
+    /// height, and its lengths at `position` are 0.9 to 1.1 times those on the earth.
     std::string crs;
     glm::dquat rotation{1.0, 0.0, 0.0, 0.0};
 };
@@ -36,7 +41,8 @@ std::string local_tangent_crs(const GeodeticPosition& position);
 class GeoConverter {
 public:
     /// @throws UsageError if relidar was built without PROJ
-    /// @throws DataError if PROJ does not know the projection
+    /// @throws DataError if PROJ does not know the projection, or if its coordinates are
+    /// not those of an upright, right-handed map in metres
     explicit GeoConverter(const Georeference& georeference);
     /// @param dataset_m metres, in the dataset's world frame
     /// @throws DataError if the projection has no such point
@@ -47,6 +53,11 @@ public:
     /// Returns the rotation from axes that point east, north and up at a position to the
     /// axes of the dataset's world.
     glm::dquat dataset_from_enu(const GeodeticPosition& position) const;
+    /// Returns the coordinates of the projection, in metres.
+    glm::dvec3 to_map(const GeodeticPosition& position) const;
+    /// Returns a note for the user if lengths at the position differ by more than 0.1 %
+    /// from those on the earth, or an empty text.
+    std::string scale_note() const;
     /// Returns the projection as WKT 1. Returns an empty text if PROJ cannot describe it,
     /// or if x and y of the dataset's world are not those of the projection.
     std::string wkt() const;
@@ -55,5 +66,36 @@ private:
     struct Impl;
     std::shared_ptr<Impl> impl_;
 };
+
+/// Converts from the world of a log to the coordinates of a map.
+class MapProjector {
+public:
+    /// @param crs  the map, as in Georeference
+    /// @throws as GeoConverter
+    MapProjector(const Georeference& world, const std::string& crs);
+    glm::dvec3 to_map(const glm::dvec3& dataset_m) const;
+    Pose to_map(const Pose& dataset_pose) const;
+    /// Returns a frame at a point of the dataset's world with the axes of the map there.
+    Pose dataset_from_axes(const glm::dvec3& dataset_m) const;
+    /// Converts points in such a frame to positions on the map, relative to its origin.
+    void project_points(std::vector<glm::vec3>& points_m, const Pose& dataset_from_axes) const;
+    /// Converts from positions on the earth to the map.
+    const GeoConverter& map() const { return map_; }
+    const std::string& crs() const { return crs_; }
+
+private:
+    GeoConverter world_, map_;
+    std::string crs_;
+};
+
+struct GeoreferenceFit {
+    std::optional<Georeference> georeference;  ///< empty if the positions do not determine it
+    std::string note;                          ///< numbers of the fit, for the user
+};
+/// Fits the world of a log to positions of an antenna on the earth. Assumes that the z
+/// axis of the world points up.
+/// @param antenna_m  [positions] where the antenna is in the dataset's world
+GeoreferenceFit fit_georeference(const std::vector<glm::dvec3>& antenna_m,
+                                 const std::vector<GeodeticPosition>& positions);
 
 }  // namespace relidar

@@ -30,8 +30,8 @@ struct PacketOptions {
     /// Packet format of an Ouster (udp_profile_lidar). Empty: RNG19_RFL8_SIG16_NIR16, or
     /// RNG19_RFL8_SIG16_NIR16_DUAL for two returns per ray.
     std::string ouster_profile = {};
-    /// Number of earlier sensors of the same maker in a rig. Each sensor has a pair of
-    /// UDP ports, and the pairs follow each other.
+    /// Number of earlier sensors in a rig, either of those by Ouster or of all others.
+    /// Each sensor has a pair of UDP ports, and the pairs follow each other.
     int unit = 0;
     /// True: the times of the scans jitter, because a computer stamped the packets when
     /// they arrived. Firings are then counted by their azimuths instead of their times.

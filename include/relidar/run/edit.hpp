@@ -200,4 +200,10 @@ PoseTrack read_trajectory(const std::filesystem::path& path,
 PoseTrack read_actor_path(const std::filesystem::path& path,
                           const std::optional<Georeference>& georeference = {});
 
+/// Reads the place of a log on the earth from a JSON file: the georeference, or a
+/// scene.json or sequence.json that has one. Or fits the path of the vehicle to the
+/// positions of a CSV file, with the columns time_s, latitude_deg, longitude_deg and
+/// height_m. Assumes that the antenna is at the origin of the vehicle.
+GeoreferenceFit read_georeference(const std::filesystem::path& path, const Log& log);
+
 }  // namespace relidar

@@ -49,6 +49,9 @@ struct PacketFormatOptions {
 struct ScanOutputOptions {
     std::vector<std::string> formats{"npz"};  ///< names from scan_formats()
     PointCoordinateFrame frame = PointCoordinateFrame::sensor;
+    /// Map of the points in ply, pcd and las files in the world frame; other formats do
+    /// not use it. Empty: the points are in the dataset's world.
+    std::optional<MapProjector> map = {};
     /// Only for points in the sensor frame. True: frame at the time of the scan. False:
     /// frame at each point's firing time.
     bool deskew = false;
@@ -115,8 +118,8 @@ std::string to_topic_name(const std::string& name);
 ///           time instance ring return, channels), FrameTransforms on /tf and /tf_static,
 ///           SceneUpdate on /actors with a box for each actor
 ///   rosbag  rosbag.mcap, of ROS 2: sensor_msgs/PointCloud2 of each sensor (x y z intensity
-///           time ring, channels) and in the sensor frame TOPIC_xyzircaedt with Autoware's
-///           point type; /tf, /tf_static, /clock, /odom; boxes on /actors
+///           time ring return, channels) and in the sensor frame TOPIC_xyzircaedt with
+///           Autoware's point type; /tf, /tf_static, /clock, /odom; boxes on /actors
 ///           (vision_msgs/Detection3DArray) and /actors_autoware (TrackedObjects)
 ///   pcap    packets.pcap, or packets_NAME.pcap for each sensor of a rig (PacketEncoder);
 ///           packets.csv or packets.json has the calibration for the driver

@@ -92,13 +92,8 @@ struct ChosenPoses {
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
                          const std::string& requested_frame_or_topic);
 
-struct FoundPlace {
-    std::optional<Georeference> georeference;  ///< empty if the positions do not determine it
-    std::string note;
-};
-/// Fits the path of the vehicle, which must be known, to positions on the earth. Assumes
-/// that the z axis of the world points up.
-FoundPlace find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames);
+/// Fits the path of the vehicle, which must be known, to positions on the earth.
+GeoreferenceFit find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames);
 
 struct SelectedBoxTopic {
     const BoxTopic* topic = nullptr;  ///< box topic in BagIndex::boxes, or null

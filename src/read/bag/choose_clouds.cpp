@@ -92,13 +92,22 @@ std::string explain_no_clouds(const BagRecording& bag, const BagIndex& index,
     return text;
 }
 
+/// Returns true if intensities are integers of one byte.
+bool has_byte_intensities(const CloudTopic& clouds) {
+    return std::ranges::any_of(clouds.fields, [](const CloudMessage::CloudField& field) {
+        return read::find_attribute(field.name) == read::PointAttribute::intensity && field.size == 1;
+    });
+}
+
 /// Returns a key that is greater for data with more information of the sensor: packets,
-/// then clouds with times, with rings, with return numbers, then with many points.
+/// then clouds with times, with rings, with return numbers, with intensities of more than
+/// 8 bits, then with many points.
 auto rate_content(const CloudTopic& clouds) {
     const bool has_returns = clouds.has_field(read::PointAttribute::return_number) ||
                              clouds.has_field(read::PointAttribute::return_type);
     return std::tuple(!clouds.packets.empty(), clouds.has_field(read::PointAttribute::time),
-                      clouds.has_field(read::PointAttribute::ring), has_returns, clouds.median_points());
+                      clouds.has_field(read::PointAttribute::ring), has_returns,
+                      !has_byte_intensities(clouds), clouds.median_points());
 }
 
 /// Returns true for usual names of the vehicle frame. Clouds in this frame are usually

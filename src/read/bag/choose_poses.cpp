@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cmath>
-#include <complex>
-#include <numeric>
 #include <ranges>
 
 #include <fmt/ranges.h>
@@ -13,10 +11,6 @@
 
 namespace relidar::bag {
 namespace {
-
-// The heading is uncertain if the antenna stays this close to its mean position.
-constexpr double kMinSpread_m = 2.0;
-constexpr double kMaxResidualShare = 0.2;  // of the spread
 
 /// A possible source of vehicle poses: a pose topic, or a chain of transforms.
 struct PoseSource {
@@ -189,61 +183,6 @@ void try_recorder_clock(ChosenPoses& choice, const BagIndex& index, const CloudT
     choice = std::move(recorded);
 }
 
-/// Positions of the antenna on the earth, by the poses of the vehicle and by its fixes.
-struct PlacePairs {
-    std::vector<glm::dvec3> world_m;  ///< in the world frame of the log
-    std::vector<glm::dvec3> plane_m;  ///< the same places in a plane that touches the earth
-};
-
-/// Pairs the fixes at times at which the pose of the vehicle is known with these poses.
-/// @param plane  converts from positions on the earth to the plane
-PlacePairs pair_places(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames,
-                       const GeoConverter& plane) {
-    const Pose antenna = frames.find_constant(poses.vehicle, fixes.frame).value_or(Pose{});
-    PlacePairs pairs;
-    for (const FixTopic::Sample& fix : fixes.samples) {
-        const double time_s = 1e-9 * double(fix.time_ns(poses.clock) - poses.poses_zero_ns);
-        if (!poses.path->covers_time(time_s)) continue;
-        pairs.world_m.push_back(poses.path->compute_pose_at(time_s) * antenna.translation);
-        pairs.plane_m.push_back(plane.to_dataset(fix.position));
-    }
-    return pairs;
-}
-
-glm::dvec3 mean_position(const std::vector<glm::dvec3>& positions_m) {
-    const glm::dvec3 sum_m = std::accumulate(positions_m.begin(), positions_m.end(), glm::dvec3(0.0));
-    return sum_m / std::max(1.0, double(positions_m.size()));
-}
-
-/// Rotation about the vertical axis from the world to the plane.
-struct FittedHeading {
-    double heading_rad;
-    double spread_m;    ///< horizontal standard deviation of the places
-    double residual_m;  ///< root of the mean square of the horizontal error
-};
-
-/// Fits the heading h that minimises the sum of |p - exp(i h) w|^2. w and p are
-/// horizontal positions in world and plane minus their means, as complex numbers. h is
-/// the angle of the sum of p * conj(w).
-FittedHeading fit_heading(const PlacePairs& pairs) {
-    const glm::dvec3 world_mean_m = mean_position(pairs.world_m), plane_mean_m = mean_position(pairs.plane_m);
-    const auto horizontal = [](const glm::dvec3& v) { return std::complex<double>(v.x, v.y); };
-    std::vector<std::complex<double>> w, p;
-    for (const glm::dvec3& world_m : pairs.world_m) w.push_back(horizontal(world_m - world_mean_m));
-    for (const glm::dvec3& plane_m : pairs.plane_m) p.push_back(horizontal(plane_m - plane_mean_m));
-    std::complex<double> sum = 0.0;
-    for (std::size_t i = 0; i < w.size(); ++i) sum += p[i] * std::conj(w[i]);
-    const double heading_rad = std::arg(sum);
-    double spread = 0.0, residual = 0.0;
-    for (std::size_t i = 0; i < w.size(); ++i) {
-        spread += std::norm(w[i]);
-        residual += std::norm(p[i] - std::polar(1.0, heading_rad) * w[i]);
-    }
-    const double n = std::max(1.0, double(w.size()));
-    return {
-        .heading_rad = heading_rad, .spread_m = std::sqrt(spread / n), .residual_m = std::sqrt(residual / n)};
-}
-
 /// Changes to the recording times, with a note, if the clouds or the poses have no time
 /// stamps, because they can then only be compared by these.
 void select_clock(ChosenPoses& choice, bool has_cloud_stamps, bool lacks_pose_stamps) {
@@ -285,28 +224,19 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     return choice;
 }
 
-FoundPlace find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames) {
+GeoreferenceFit find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames) {
     if (!has_proj())
         return {{}, "positions on the earth are not read, because relidar was built without PROJ"};
-    // Compares positions in a plane that touches the earth at the first fix.
-    const GeodeticPosition first = fixes.samples.front().position;
-    const std::string crs = local_tangent_crs(first);
-    const GeoConverter plane(Georeference{.position = first, .crs = crs});
-    const PlacePairs pairs = pair_places(fixes, poses, frames, plane);
-    const FittedHeading fit = fit_heading(pairs);
-    const bool is_clear = fit.spread_m >= kMinSpread_m && fit.residual_m <= kMaxResidualShare * fit.spread_m;
-    if (!is_clear)
-        return {{},
-                fmt::format("the place on the earth is unknown: {} positions extend over {:.2f} m and are "
-                            "{:.2f} m from the path",
-                            pairs.world_m.size(), fit.spread_m, fit.residual_m)};
-    // The fit maps the mean position in the world to that in the plane.
-    return {Georeference{.position = plane.to_geodetic(mean_position(pairs.plane_m)),
-                         .point_m = mean_position(pairs.world_m),
-                         .crs = crs,
-                         .rotation = glm::angleAxis(fit.heading_rad, glm::dvec3(0.0, 0.0, 1.0))},
-            fmt::format("the place on the earth is that of {} positions, which are {:.2f} m from the path",
-                        pairs.world_m.size(), fit.residual_m)};
+    const Pose antenna = frames.find_constant(poses.vehicle, fixes.frame).value_or(Pose{});
+    std::vector<glm::dvec3> antenna_m;
+    std::vector<GeodeticPosition> positions;
+    for (const FixTopic::Sample& fix : fixes.samples) {
+        const double time_s = 1e-9 * double(fix.time_ns(poses.clock) - poses.poses_zero_ns);
+        if (!poses.path->covers_time(time_s)) continue;
+        antenna_m.push_back(poses.path->compute_pose_at(time_s) * antenna.translation);
+        positions.push_back(fix.position);
+    }
+    return fit_georeference(antenna_m, positions);
 }
 
 }  // namespace relidar::bag

@@ -419,7 +419,7 @@ private:
         centre_log(sequence_);
         const FixTopic* fixes = find_fixes();
         if (!fixes) return;
-        const FoundPlace place = find_place(*fixes, poses_, survey_.frames);
+        const GeoreferenceFit place = find_place(*fixes, poses_, survey_.frames);
         sequence_.georeference = place.georeference;
         add_topic_note(*fixes, place.note);
     }

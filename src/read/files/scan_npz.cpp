@@ -82,6 +82,9 @@ AdditionalReturns read_returns(const NpzArrays& arrays, const std::string& range
         if (has_return && ranges_m[i] > kFarthest_m)
             fail("{} has the value {}, expected a range in metres, or 0 for a ray without return",
                  arrays.ray_location(range_name, i), ranges_m[i]);
+        if (has_return && intensities[i] < 0.0)
+            fail("{} has the value {}, expected an intensity of at least 0",
+                 arrays.ray_location(intensity_name, i), intensities[i]);
         echo.range_m.push_back(has_return ? float(ranges_m[i]) : 0.0f);
         echo.intensity.push_back(
             has_return ? scale_intensity(intensities[i], units, arrays.ray_location(intensity_name, i))

@@ -27,6 +27,9 @@ constexpr double kFinestStep_turns = 1.0 / 4096.0;  // of the fine search
 // The search is successful if it reduces the spread at least by this factor, and if
 // distant seams have a larger spread by the other factor.
 constexpr double kMaxSpreadRatio = 0.75, kMinOtherSeam = 1.2;
+// Neighbours of a turning head have a much smaller spread than their ring.
+constexpr double kMaxNeighbourSpread = 0.25;
+constexpr double kMaxNoise_rad = 6e-5;  // of the elevations of real LiDARs
 // A smaller spread is due to rounded coordinates, and not to motion.
 constexpr double kMinSpread_rad = 3e-5;
 // Poses explain the compensation if their spread is at most this factor above the best.
@@ -68,6 +71,37 @@ double spread_without_motion(const LatticeFitter& fitter) {
     LatticeFit still = fitter.start_fit({});
     fitter.improve(still, 6, FreeValues::cones);
     return still.spread_rad;
+}
+
+/// Returns the robust standard deviation of the slopes of neighbours in a ring that are
+/// equally far away. A turning head fires them shortly after each other, so motion
+/// compensation hardly separates them. An oscillating mirror looks twice in each
+/// direction, and separates them as much as other points of the ring.
+double neighbour_spread(const std::vector<CompensatedSweep>& sweeps) {
+    constexpr double kMaxStep_rad = 0.02, kMaxChange = 0.02;  // of azimuths, and of distances
+    constexpr double kSigma = 1.4826 / 1.4142;                // of a point, from the median of differences
+    struct RingPoint {
+        std::uint16_t ring;
+        double azimuth_rad, axis_m, slope;
+    };
+    std::vector<double> differences;
+    for (const CompensatedSweep& sweep : sweeps) {
+        std::vector<RingPoint> points;
+        for (std::size_t i = 0; i < sweep.points.size(); ++i) {
+            const glm::dvec3 p(sweep.points.position_m[i]);
+            if (!sweep.points.return_number.empty() && sweep.points.return_number[i] != 1) continue;
+            if (const double axis_m = axis_distance_m(p); axis_m > 0.0)
+                points.push_back({sweep.points.ring[i], azimuth_rad_of(p), axis_m, p.z / axis_m});
+        }
+        std::ranges::sort(points, {}, [](const RingPoint& p) { return std::pair(p.ring, p.azimuth_rad); });
+        for (std::size_t i = 1; i < points.size(); ++i) {
+            const RingPoint &last = points[i - 1], &point = points[i];
+            if (last.ring == point.ring && point.azimuth_rad - last.azimuth_rad < kMaxStep_rad &&
+                std::abs(point.axis_m - last.axis_m) < kMaxChange * point.axis_m)
+                differences.push_back(std::abs(point.slope - last.slope));
+        }
+    }
+    return differences.empty() ? 0.0 : kSigma * compute_median(std::move(differences));
 }
 
 /// Fits cones and motions for each hypothesis of the turn. The head is at one of kSeams
@@ -253,14 +287,14 @@ YawFit fit_remaining_yaw(const LidarPoints& restored, const HeadTurn& turn, cons
     return fit_yaw(fired, restored.ring, turn, ticks);
 }
 
-/// Returns a multiple of 128 or 100 near a number of ticks, or else the number itself.
+/// Returns a usual number of ticks near a number, or else the number itself. Heads fire
+/// 512, 1024, 2048 or 4096 times in a turn, or at fractions of a degree: 900, 1800, 3600.
+/// Other multiples of 128 are too near to these: 896, 1792, 3584.
 int round_ticks(double count) {
     // A turn of 0.25 rad/s at 10 Hz changes the number of ticks by 0.4 %.
     constexpr double kMaxYaw = 0.007;
-    for (const double round : {128.0, 100.0})
-        if (const double near = std::round(count / round) * round;
-            near > 0.0 && std::abs(near - count) < kMaxYaw * count)
-            return int(near);
+    for (const double usual : {std::exp2(std::round(std::log2(count))), 100.0 * std::round(count / 100.0)})
+        if (std::abs(usual - count) < kMaxYaw * count) return int(usual);
     return int(std::lround(count));
 }
 
@@ -377,6 +411,8 @@ std::optional<FiringRecovery> find_firings(const std::vector<CompensatedSweep>& 
     // Each beam draws a cone. Motion compensation moves points off the cones.
     const double still_rad = spread_without_motion(fitter);
     if (!(still_rad > kMinSpread_rad)) return std::nullopt;
+    if (neighbour_spread(sweeps) > std::max(kMaxNeighbourSpread * still_rad, kMaxNoise_rad))
+        return std::nullopt;
 
     // Finds the turn and motions that move points back to their cones.
     const std::vector<LatticeFit> fits = try_turns(make_fitter(sweeps, kCoarsePoints));

@@ -342,7 +342,10 @@ void note_skipped_columns(SequenceHeader& header) {
 void read_place(SequenceHeader& header, const JsonField& root) {
     if (root.has_member("georeference")) {
         header.georeference = read_georeference(root.at("georeference"));
-        if (has_proj()) GeoConverter{*header.georeference};  // rejects an unknown projection
+        if (has_proj()) {  // The converter rejects unsuitable projections.
+            const std::string note = GeoConverter(*header.georeference).scale_note();
+            if (!note.empty()) header.notes.push_back({"map_scale", -1, note});
+        }
     }
     if (root.has_member("world_offset_m")) {
         const JsonField offset = root.at("world_offset_m");

@@ -29,6 +29,12 @@ std::size_t count_firsts(const LidarPoints& points) {
     return n;
 }
 
+/// Returns true if points have times. If all are 0, they do not show when the points were
+/// fired.
+bool has_firing_times(const LidarPoints& points) {
+    return std::ranges::any_of(points.time_offset_s, [](float time_s) { return time_s != 0.0f; });
+}
+
 /// Reads the scans of a folder from their files.
 class FolderScans : public ScanProvider {
 public:
@@ -266,7 +272,7 @@ private:
         for (const auto& [frame_index, points] : samples)
             sweeps.push_back({points, sequence_.frames[frame_index].time_s});
         const bool has_times = std::ranges::any_of(
-            sweeps, [](const CompensatedSweep& sweep) { return !sweep.points.time_offset_s.empty(); });
+            sweeps, [](const CompensatedSweep& sweep) { return has_firing_times(sweep.points); });
         const Lidar& lidar = sequence_.lidars[l];
         CompensatedSensor sensor{
             .period_s = sweep_s,
@@ -275,6 +281,9 @@ private:
         // The points were moved, but their times are not stored.
         if (layout_.motion_compensated && may_undo_motion_ && !has_times)
             plans_[l].firings = plan_firings(std::move(sweeps), sensor);
+        // sequence.json may lack the flag.
+        else if (layout_.is_described && !layout_.motion_compensated && !has_times)
+            plans_[l].unmarked_firings = plan_firings(std::move(sweeps), sensor);
         // The times are stored, but the points may have been moved without notice.
         if (!layout_.motion_compensated && has_times && has_poses_)
             plans_[l].moved_to_s = find_moved_time(sweeps, *sensor.world_from_sensor);
@@ -314,7 +323,8 @@ private:
         Lidar& lidar = sequence_.lidars[l];
         plan.sensor = lidar.sensor;
         plan_rays(plan, layout_.lidars[l], sweep_s, samples);
-        plan.undoes_motion = plan.firings || (can_undo_motion() && plan.has_times);
+        plan.undoes_motion =
+            plan.firings || (can_undo_motion() && std::ranges::any_of(samples, has_firing_times));
         if (plan.is_contradiction && layout_.is_described)
             fail("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point as one ray",
                  sequence_.source, lidar.name, plan.why_no_beams);

@@ -88,6 +88,13 @@ void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const S
     if (!layout.motion_compensated && step_s && *step_s <= kMaxFrameStep_s)
         add(describe_span(samples, *step_s));
     if (plan.firings) add(describe_recovery(plan.firings->recovery));
+    if (plan.unmarked_firings)
+        add(fmt::format(
+            "the scans seem to be motion-compensated: without the compensation, the elevations of "
+            "a beam differ by {:.4f} instead of {:.4f} degrees; if they are, set "
+            "\"motion_compensated\": true in sequence.json",
+            plan.unmarked_firings->recovery.spread_rad * 180.0 / kPi,
+            plan.unmarked_firings->recovery.compensated_spread_rad * 180.0 / kPi));
     if (plan.moved_to_s)
         add(
             fmt::format("the points were moved to the time {:.4f} s after the frame, because their beams "

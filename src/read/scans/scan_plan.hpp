@@ -76,6 +76,9 @@ struct TimeLimits {
 struct ScanPlan {
     TimeLimits time_limits;
     std::optional<FiringPlan> firings;  ///< recovered firing times of the points
+    /// Firing times that points have if they are motion-compensated, which the log does
+    /// not say. They are not used.
+    std::optional<FiringPlan> unmarked_firings;
     /// Time after the frame to which the points were moved. Not set if they were not.
     std::optional<double> moved_to_s;
     bool undoes_motion = false;  ///< true: motion compensation is undone

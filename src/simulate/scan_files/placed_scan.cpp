@@ -15,6 +15,8 @@ std::vector<double> row_major(const Pose& pose) {
 }
 
 std::optional<Pose> world_from_output(const ScanOutputOptions& format, const Pose& world_from_deskewed) {
+    if (format.frame == PointCoordinateFrame::world && format.map)
+        return format.map->dataset_from_axes(format.world_offset_m);
     if (format.frame == PointCoordinateFrame::world) return Pose{{1, 0, 0, 0}, points_origin_m(format)};
     return format.deskew ? std::optional(world_from_deskewed) : std::nullopt;
 }
@@ -48,11 +50,16 @@ const PlacedRays& ScanInOutputFrame::rays() {
 
 std::optional<glm::dvec3> ScanInOutputFrame::world_origin_m() const {
     if (format.frame == PointCoordinateFrame::sensor) return {};
+    if (format.map) return format.map->to_map(format.world_offset_m);
     return points_origin_m(format);
 }
 
 const LidarPoints& ScanInOutputFrame::points() {
-    if (!points_) points_ = place_points(scan, format.config, dataset_from_points_);
+    if (points_) return *points_;
+    points_ = place_points(scan, format.config, dataset_from_points_);
+    // So far, the map was a plane at its origin.
+    if (format.frame == PointCoordinateFrame::world && format.map)
+        format.map->project_points(points_->position_m, *dataset_from_points_);
     return *points_;
 }
 

@@ -30,9 +30,10 @@ public:
     /// @throws DataError if check_channels() finds an invalid channel
     const PlacedRays& rays();
     /// Returns one point for each return of the scan. In the world frame, positions are
-    /// relative to points_origin_m().
+    /// relative to world_origin_m().
     const LidarPoints& points();
-    /// Returns points_origin_m() in the world frame, and no value in the sensor frame.
+    /// Returns points_origin_m() in the world frame, its place on the map if there is
+    /// one, and no value in the sensor frame.
     std::optional<glm::dvec3> world_origin_m() const;
 
     const RenderedScan& scan;
@@ -76,7 +77,8 @@ void for_each_channel(ScanInOutputFrame& placed_scan, Visit&& visit) {
 }
 
 /// Returns the pose of the frame that all points share: the world at points_origin_m(),
-/// or the sensor frame at one time. Returns no value if each point is written in the
+/// the axes of ScanOutputOptions::map at the world's offset, or the sensor frame at one
+/// time. Returns no value if each point is written in the
 /// sensor frame at the firing time of its ray.
 /// @param world_from_deskewed pose of the sensor frame in which deskewed
 /// (motion-compensated) points are expressed

@@ -18,10 +18,11 @@ struct RosField {
     std::uint8_t type;  ///< datatype, a constant of sensor_msgs/PointField
 };
 constexpr std::uint8_t kRosUint8 = 2, kRosUint16 = 4, kRosInt32 = 5, kRosUint32 = 6, kRosFloat32 = 7;
-/// Names of Velodyne drivers. Optional channels follow.
+/// Names of Velodyne drivers, and the number of the return. Optional channels follow.
 const std::vector<RosField> kPlainFields = {{"x", 0, kRosFloat32},     {"y", 4, kRosFloat32},
                                             {"z", 8, kRosFloat32},     {"intensity", 12, kRosFloat32},
-                                            {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
+                                            {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16},
+                                            {"return", 22, kRosUint8}};
 /// PointXYZIRCAEDT, the point type of Autoware and Nebula.
 const std::vector<RosField> kAutowareFields = {
     {"x", 0, kRosFloat32},         {"y", 4, kRosFloat32},          {"z", 8, kRosFloat32},
@@ -58,7 +59,7 @@ std::string pack_autoware(const LidarPoints& cloud) {
     return bytes;
 }
 
-/// Packs points as x, y, z, intensity, time, ring and optional channels.
+/// Packs points as x, y, z, intensity, time, ring, return and optional channels.
 std::string pack_velodyne(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
@@ -66,7 +67,8 @@ std::string pack_velodyne(const LidarPoints& cloud) {
         append_raw(bytes, cloud.intensity[i]);
         append_raw(bytes, cloud.time_offset_s[i]);
         append_raw(bytes, cloud.ring[i]);
-        append_raw(bytes, std::uint16_t(0));  // padding to a multiple of 4 bytes
+        append_raw(bytes, cloud.return_number.empty() ? std::uint8_t(1) : cloud.return_number[i]);
+        append_raw(bytes, std::uint8_t(0));  // padding to a multiple of 4 bytes
         append_values(bytes, cloud.channels, i);
     }
     return bytes;

@@ -23,6 +23,8 @@ using scan_files::ScanInOutputFrame;
 constexpr const char* kUnitsText = "metres, seconds; intensity and drop_prob 0 to 1";
 
 std::string describe_frame(const ScanOutputOptions& options) {
+    if (options.frame == PointCoordinateFrame::world && options.map)
+        return fmt::format("{}: x, y and height in metres", options.map->crs());
     if (options.frame == PointCoordinateFrame::world) return "world: the dataset's own";
     return has_common_frame(options) ? "sensor at time_s: x forward, y left, z up"
                                      : "sensor at each ray's firing time: x forward, y left, z up";
@@ -151,7 +153,9 @@ const std::string& find_wkt(const Georeference& place) {
 void write_las_file(const fs::path& path, ScanInOutputFrame& scan) {
     const std::optional<Georeference>& place = scan.format.georeference;
     const bool is_on_earth = scan.world_origin_m() && place && has_proj();
-    write_las(path, scan.points(), scan.notes, scan.world_origin_m(), is_on_earth ? find_wkt(*place) : "");
+    const std::optional<MapProjector>& map = scan.format.map;
+    const std::string wkt = !is_on_earth ? "" : map ? map->map().wkt() : find_wkt(*place);
+    write_las(path, scan.points(), scan.notes, scan.world_origin_m(), wkt);
 }
 void write_bin_file(const fs::path& path, ScanInOutputFrame& scan) { write_kitti_bin(path, scan.points()); }
 void write_png_file(const fs::path& path, ScanInOutputFrame& scan) {
@@ -177,7 +181,8 @@ Metres, seconds.)",
     {"pcd", kPointsHelp, write_pcd_file},
     {"bin", kPointsHelp, write_bin_file},
     {"las", R"(LAS 1.4, point format 6, with ring, instance and channels as extra bytes; GPS time is
-the log's time. With --frame world and a georeference it names the coordinate system.)",
+the log's time. With --crs it names the coordinate system; with --frame world, only if the
+axes of the dataset's world are those of the map of its georeference.)",
      write_las_file},
     {"png", "pictures of range, intensity and drop_prob.", write_png_file}};
 

@@ -173,13 +173,15 @@ void ScanFolderWriter::write_summary() const {
         {"recordings", Json::array()},
         {"scans", Json::array()},
         {"settings", settings_json(config)}};
+    if (format_.map) json["points"]["crs"] = format_.map->crs();
     if (format_.vehicle) {
         json["vehicle"] = Json::parse(format_.vehicle->json);
         json["vehicle"]["base_link_from_sensor"] = matrix_json(format_.vehicle_from_lidar * format_.offset);
         json["vehicle"]["base_link_height_m"] =
             format_.base_link_height_m ? Json(*format_.base_link_height_m) : Json();
     }
-    if (const glm::dvec3 origin_m = points_origin_m(format_); world && origin_m != glm::dvec3(0.0))
+    if (const glm::dvec3 origin_m = points_origin_m(format_);
+        world && !format_.map && origin_m != glm::dvec3(0.0))
         json["world_offset_m"] = {origin_m.x, origin_m.y, origin_m.z};
     if (recordings_) json["recordings"] = recordings_->list_file_names();
     for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));

@@ -37,8 +37,8 @@ struct ScanPacketEncoder::Impl {
 
 ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
     : impl_(std::make_unique<Impl>()) {
-    // Sensors of one maker get consecutive units, because each needs other UDP ports.
-    std::map<std::string, int> n_units;  // by maker
+    // Each sensor needs other UDP ports. Ouster uses other ports than all others.
+    std::map<bool, int> n_units;  // by whether the sensor is an Ouster
     for (const ScanOutputOptions& format : sensors) {
         if (!format.packets.sensor)
             fail<UsageError>("cannot write packets of the sensor \"{}\", expected one of {}", format.sensor,
@@ -46,7 +46,7 @@ ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
         const PacketOptions options{.start_ns = format.time_shift_ns,
                                     .returns = format.config.sensor.returns,
                                     .ouster_profile = format.packets.ouster_profile,
-                                    .unit = n_units[packet_maker(format.packets.sensor->name)]++};
+                                    .unit = n_units[packet_maker(format.packets.sensor->name) == "Ouster"]++};
         impl_->encoders.push_back(std::make_unique<PacketEncoder>(*format.packets.sensor, options));
     }
     impl_->sensors = std::move(sensors);

@@ -35,6 +35,14 @@ struct Drive {
     bool is_raw = false;             ///< the points were not moved
     double left_m = 0.0;             ///< beams start beside the axis, in turn on its left and right
     int columns = 400, beams = 20;
+    /// A mirror turns from the left limit of the view to the right one and back in a
+    /// sweep. Points of even columns are seen on the way there.
+    bool is_mirror = false;
+
+    double time_turns(double azimuth_rad, std::size_t column) const {
+        if (!is_mirror) return turn.time_turns(azimuth_rad);
+        return (column % 2 ? 0.25 : -0.25) * (azimuth_rad / view_rad + 1.0);
+    }
 };
 
 /// Sweeps of a drive before and after the compensation, with true times.
@@ -84,9 +92,10 @@ Recording record(const Drive& drive) {
         const double time_s = i * kPeriod_s;
         RayTable rays = nominal;
         for (std::size_t r = 0; r < rays.size(); ++r)
-            rays.time_offset_s[r] = float(
-                drive.turn.time_turns(std::atan2(double(rays.direction[r].y), double(rays.direction[r].x))) *
-                kPeriod_s);
+            rays.time_offset_s[r] =
+                float(drive.time_turns(std::atan2(double(rays.direction[r].y), double(rays.direction[r].x)),
+                                       r % std::size_t(rays.columns)) *
+                      kPeriod_s);
         PoseTrack compensation = recording.world_from_sensor;
         if (drive.has_constant_velocity) {
             compensation.time_s.resize(std::size_t(i) + 2);
@@ -161,6 +170,25 @@ TEST(FiringRecovery, NeedsNoPoses) {
     expect_recovered({.speed_mps = 30.0}, false, 0.02);
     expect_recovered({.turn = {false, 0.3, 0.0}, .speed_mps = 10.0}, false, 0.02);
     expect_recovered({.speed_mps = 8.0, .yaw_rate_radps = 0.3}, false, 0.02);
+}
+
+/// Without poses, a slow yaw looks like another number of columns.
+TEST(FiringRecovery, PrefersUsualNumbersOfColumns) {
+    for (const int columns : {512, 900, 1800, 3600}) {
+        const std::optional<FiringRecovery> recovery =
+            recover(record({.yaw_rate_radps = 0.1, .columns = columns, .beams = 6}), false);
+        ASSERT_TRUE(recovery.has_value());
+        EXPECT_EQ(recovery->ticks.n, columns);
+    }
+}
+
+/// No turn of a head explains such points. Most fits are worse than none.
+TEST(FiringRecovery, KeepsScansOfAnOscillatingMirror) {
+    for (const double view_rad : {kPi / 3.0, 0.99 * kPi}) {
+        const Recording recording = record({.view_rad = view_rad, .is_mirror = true});
+        EXPECT_FALSE(recover(recording, true).has_value());
+        EXPECT_FALSE(recover(recording, false).has_value());
+    }
 }
 
 TEST(FiringRecovery, AcceptsEmptySweepsAndOtherRings) {
@@ -240,7 +268,7 @@ TEST(FiringRecovery, FindsTheTimeToWhichPointsWithTimesWereMoved) {
 }
 
 /// Writes the compensated sweeps as a plain folder without point times.
-fs::path write_folder(const Recording& recording, const std::string& name) {
+fs::path write_folder(const Recording& recording, const std::string& name, bool is_marked = true) {
     const fs::path folder = fs::path(testing::TempDir()) / name;
     fs::remove_all(folder);
     fs::create_directories(folder / "scans");
@@ -261,8 +289,8 @@ fs::path write_folder(const Recording& recording, const std::string& name) {
         poses << '\n';
     }
     std::ofstream(folder / "sequence.json")
-        << R"({"format": "relidar log", "version": 1, "rate_hz": 10, "motion_compensated": true,
-            "columns": ["x", "y", "z", "intensity", "ring"]})";
+        << R"({"format": "relidar log", "version": 1, "rate_hz": 10, "motion_compensated": )"
+        << (is_marked ? "true" : "false") << R"(, "columns": ["x", "y", "z", "intensity", "ring"]})";
     return folder;
 }
 
@@ -283,6 +311,17 @@ TEST(FiringRecovery, GivesAFolderItsRollingShutter) {
         EXPECT_NEAR(double(std::ranges::max(times)), 0.05, 2e-3);
     }
     EXPECT_FALSE(load_sequence(folder.string(), {.rolling_shutter = false}).rolling_shutter);
+}
+
+TEST(FiringRecovery, HintsAtAMissingFlag) {
+    const auto has_hint = [](const Recording& recording) {
+        const Log log = load_sequence(write_folder(recording, "relidar_unmarked", false).string(), {});
+        return std::ranges::any_of(log.notes, [](const Note& note) {
+            return note.text.find("\"motion_compensated\": true") != std::string::npos;
+        });
+    };
+    EXPECT_TRUE(has_hint(record({.speed_mps = 15.0})));
+    EXPECT_FALSE(has_hint(record({.speed_mps = 15.0, .is_raw = true})));
 }
 
 TEST(FiringRecovery, KeepsAFolderOfAStandingVehicle) {

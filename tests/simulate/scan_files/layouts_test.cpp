@@ -176,6 +176,8 @@ TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {
         }
     }
     for (const Frame& frame : log.frames) {
+        EXPECT_EQ(std::ranges::count(frame.scan.rays.time_offset_s, 0.0f),
+                  std::ssize(frame.scan.rays.time_offset_s));
         const Lidar& lidar = log.lidar_of(frame);
         const Pose world_from_lidar =
             log.world_from_vehicle.pose[log.find_pose_index(frame)] * lidar.vehicle_from_sensor;

@@ -44,7 +44,7 @@ RenderedScan room(double time_s) {
             scan.image.direction.emplace_back(std::cos(elevation) * std::cos(azimuth),
                                               std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
             scan.image.range_m.push_back(float(12.0 + 3.0 * std::sin(5.0 * azimuth) + 0.5 * r));
-            scan.image.intensity.push_back(float(i % 200) / 255.0f);
+            scan.image.intensity.push_back(float(i % 200) / 199.0f);  // not in steps of a byte
             scan.image.drop_prob.push_back(i % 12 == 0 ? 1.0f : 0.0f);
             scan.time_offset_s.push_back(float(kPeriod_s * ((c + 0.5) / kColumns - 0.5)));
             scan.ring.push_back(std::uint16_t(r));
@@ -54,7 +54,7 @@ RenderedScan room(double time_s) {
     for (std::size_t i = 0; i < n; i += 5)
         if (i % 12 != 0) {
             scan.second_returns[0].range_m[i] = scan.image.range_m[i] + 2.0f;
-            scan.second_returns[0].intensity[i] = 0.2f;
+            scan.second_returns[0].intensity[i] = 0.21f;
         }
     scan.time_s = time_s;
     scan.track = make_track();
@@ -85,7 +85,7 @@ std::vector<SeenPoint> compute_truth() {
             };
             points.push_back({t_s, scan.ring[i], false, at(scan.image.range_m[i]), scan.image.intensity[i]});
             if (scan.second_returns[0].range_m[i] > 0.0f)
-                points.push_back({t_s, scan.ring[i], true, at(scan.second_returns[0].range_m[i]), 0.2f});
+                points.push_back({t_s, scan.ring[i], true, at(scan.second_returns[0].range_m[i]), 0.21f});
         }
     }
     std::ranges::sort(points, {}, &SeenPoint::key);

@@ -32,6 +32,7 @@ _STORED = {"means": "mean", "quats": "rotation", "log_scales": "log_scale", "opa
 # Name of an argument of render() -> the parameter that it replaces, and how.
 _ACTIVATED = {"scales": ("log_scales", torch.log), "opacities": ("opacity_logits", lambda o: torch.logit(o, 1e-6))}
 _UNKNOWN_TIME = 3e38
+_MAX_LENGTH_ERROR = 1e-3   # of directions; float16 rounds by less
 # With training=True, the boxes of surfels in the ray-tracing tree are larger by this factor and by this length
 # in metres, as in relidar.train(). 90 % of the factor is for growing scales, the remainder for growing opacities.
 _MARGIN = 1.05, 0.003
@@ -57,6 +58,17 @@ def _check(name, values, shape, dtypes=(torch.float32,), device=None):
         raise relidar.DataError(f"{name}: found {str(tensor.dtype)[6:]} {list(tensor.shape)} on {tensor.device}, "
                                 f"expected {expected} (-1: any)")
     return tensor
+
+
+def _check_rays(rays):
+    """Raises DataError for rays that are not finite, or whose directions do not have length 1."""
+    values = rays.detach()
+    lengths = values[:, 3:6].norm(dim=1)
+    wrong = torch.nonzero(~(values.isfinite().all(1) & ((lengths - 1).abs() < _MAX_LENGTH_ERROR)))
+    if len(wrong):
+        ray = int(wrong[0])
+        raise relidar.DataError(f"rays: ray {ray} is {values[ray].tolist()} with a direction of length {float(lengths[ray]):.6g}, "
+                                "expected finite numbers and length 1")
 
 
 def _is_shared(array):
@@ -147,7 +159,7 @@ class Scene:
 
     means [s,3]; quats [s,4] (w x y z, need not have length 1); log_scales [s,2]; opacity_logits [s];
     features [s,3,16]: SH coefficients of intensity, hit logit and drop logit. 3D Gaussians also have
-    log_scales_w [s], walking actors gait [s,5].
+    log_scales_w [s], walking actors gait [s,5]. instances: index of each instance by its track, or "background".
     """
 
     def __init__(self, scene, config=None, *, poses=False, rays=False, training=False, device=None):
@@ -162,6 +174,7 @@ class Scene:
         self.renderer = relidar.DifferentiableRenderer(scene, config, poses=poses, rays=rays, sparse=training,
                                                        margin=_MARGIN if training else None, device=device)
         self._n_instances, self._computes = len(scene.instances), {"poses": poses, "rays": rays}
+        self.instances = {instance["track"] or "background": i for i, instance in enumerate(scene.instances)}
         self._training, self._fitted = training, None   # parameters at the last update of the tree
         arrays = self.renderer.device_parameters()
         self._arrays = {name: arrays[stored] for name, stored in _STORED.items() if stored in arrays}
@@ -229,11 +242,12 @@ class Scene:
     def _place(self, request, view, poses):
         """Places the instances, and updates the tree if this is necessary."""
         refit = self._is_refit_due()
-        if request.frame:
+        if request.frame and poses is None and request.present is None:
             self.renderer.place_frame(request.frame.run, request.frame.position, view, refit=refit)
         else:
             placed = np.tile(np.eye(4), (self._n_instances, 1, 1)) if poses is None else poses.double().cpu().contiguous().numpy()
-            self.renderer.place(placed, view, request.present, refit=refit)
+            present = [True] * self._n_instances if request.present is None else request.present
+            self.renderer.place(placed, view, present, refit=refit)
         if refit and self._training:
             self._fitted = {name: memory.clone() for name, memory in self._memory.items() if name in ("means", "quats", *_MAX_GROWTH)}
             self._shortest_quat = self._memory["quats"].norm(dim=1).min()
@@ -353,6 +367,13 @@ def _replace_parameters(scene, replacements):
     return values.values()
 
 
+def _empty_values(rays, parameters):
+    """Returns the values of no rays. Their gradients are 0, for the rays and all parameters."""
+    nothing = rays[:, 0] + sum(parameter.flatten()[:0].sum() for parameter in parameters)
+    whole = torch.zeros(0, dtype=torch.int32, device=rays.device)
+    return [nothing.clone() for _ in _BLENDED] + [nothing.detach(), nothing.detach(), whole, whole.clone()]
+
+
 def _check_gradient(scene, name, tensor, option):
     if tensor is not None and tensor.requires_grad and torch.is_grad_enabled() and not scene._computes[option]:
         raise relidar.UsageError(f"render: {name} requires a gradient, which this scene does not compute; use Scene(..., {option}=True)")
@@ -413,12 +434,13 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, mea
     """Renders rays. Differentiable by parameters, rays, sensor and poses.
 
     scene: Scene
-    rays: float32 [n,6] origins and directions (length 1), or [n,7] with times; or a pair of origins and
+    rays: float32 [n,6] origins and directions (length 1), or [n,7] with times; n may be 0; or a pair of origins and
         directions [n,3]; or a Frame; or a list of these, a batch of scans. Metres, seconds
     sensor: [4,4] pose of the sensor in the scene; rays are in its frame. None: rays are in the scene's frame.
         With a Frame: a motion of its rays
-    poses: [instances,4,4] poses of the instances in the scene. None: all at the origin, or as in the Frame
-    present: one bool for each instance. None: all are present
+    poses: [instances,4,4] poses of the instances (scene.instances) in the scene. None: all at the origin. With a
+        Frame, they replace those of the frame, and no instance moves during the scan; None: as in the Frame
+    present: one bool for each instance; with a Frame only together with poses. None: all are present
     columns: number of columns if the rays are an image in row order, which is faster on a GPU
     measured: [n] measured ranges (metres, 0: unknown), for `likelihood`. With a Frame: those of the frame
     parameters: tensors that replace those of the scene in this call: means, quats, features, scales and
@@ -443,8 +465,8 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, mea
     if frame and measured is None and scene.renderer.likelihood_scale_m > 0:
         measured = frame.range * (frame.weight > 0)
     if frame:
-        if poses is not None or present is not None:
-            raise relidar.UsageError("render: found poses or present with a Frame, which has its own poses")
+        if poses is None and present is not None:
+            raise relidar.UsageError("render: found present with a Frame, which has its own poses; expected poses, too")
         rays, columns = frame.rays, frame.shape[1]
     elif isinstance(rays, tuple):
         if len(rays) != 2:
@@ -453,17 +475,19 @@ def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, mea
         rays = torch.cat([origins, _check("directions", rays[1], (len(origins), 3), device=scene.device)], 1)
     rays = _tensor(rays)
     rays = _check("rays", rays, (-1, 7 if rays.shape[-1:] == (7,) else 6), device=scene.device)
-    if len(rays) == 0:
-        raise relidar.DataError("rays: found no rays, expected at least one")
+    _check_rays(rays)
     doubles = (torch.float32, torch.float64)
     sensor = None if sensor is None else _check("sensor", sensor, (4, 4), doubles)
     poses = None if poses is None else _check("poses", poses, (scene._n_instances, 4, 4), doubles)
     for name, tensor, option in (("rays", rays, "rays"), ("sensor", sensor, "poses"), ("poses", poses, "poses")):
         _check_gradient(scene, name, tensor, option)
-    present = [True] * scene._n_instances if present is None else [bool(one) for one in present]
+    present = None if present is None else [bool(one) for one in present]
     measured = None if measured is None else _check("measured", measured, (len(rays),), device=scene.device).detach().clone()
     request, values = _Request(frame, present, columns, measured), _replace_parameters(scene, parameters)
-    values = _Render.apply(scene, request, rays, sensor, poses, *values)
+    if len(rays) == 0:
+        values = _empty_values(rays, values)
+    else:
+        values = _Render.apply(scene, request, rays, sensor, poses, *values)
     out = dict(zip(_BLENDED + _OTHER, values))
     if measured is None:
         del out["likelihood"]

@@ -72,7 +72,8 @@ void run_edit(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
             "no edit is given; expected at least one of --remove, --move, --class, --retime, --speed, "
-            "--trajectory, --copy, --insert, --keep and --from-ply (see `relidar edit --help`)");
+            "--trajectory, --copy, --insert, --georeference, --keep and --from-ply (see `relidar edit "
+            "--help`)");
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
         fail<UsageError>("--out {}: this is the folder of the run to edit; expected a different folder",

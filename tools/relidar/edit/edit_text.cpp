@@ -253,6 +253,14 @@ EditResult apply_insert(SceneWithLog edited, const EditArgument& edit) {
             join_notes({sensor_note, warn_unobserved(start, new_id)})};
 }
 
+/// Sets the place of the log on the earth.
+EditResult apply_georeference(SceneWithLog edited, const EditArgument& edit) {
+    const GeoreferenceFit fit = read_georeference(edit.value, edited.sequence);
+    if (!fit.georeference) fail("{}: {}", edit.value, fit.note);
+    edited.sequence.georeference = fit.georeference;
+    return {std::move(edited), "set the georeference to that of " + edit.value, fit.note};
+}
+
 EditResult apply_keep_only(SceneWithLog edited, const EditArgument& edit) {
     if (edit.value == "background") return {remove_actors(std::move(edited)), "kept only the background", ""};
     if (edit.value == "actors") return {remove_background(std::move(edited)), "kept only the actors", ""};
@@ -285,6 +293,10 @@ const std::vector<EditOption>& edit_options() {
         {"--insert", apply_insert, "RUN#TRACK@PLACE|ASSET@PLACE",
          "add an actor of another run, or an asset of `relidar assets`; PLACE has the same form as in "
          "--copy"},
+        {"--georeference", apply_georeference, "FILE.json|FILE.csv",
+         "set the place of the log on the earth: the georeference of a JSON file, or a fit of the path of "
+         "the "
+         "vehicle to GPS positions, lines of time_s,latitude_deg,longitude_deg,height_m"},
         {"--keep", apply_keep_only, "background|actors", "keep only the background or only the actors"}};
     return options;
 }

@@ -119,6 +119,16 @@ Json summary_json(const LidarSummary& summary) {
             {"frames", summary.n_frames},   {"second_returns", summary.n_second_returns}};
 }
 
+Json summary_json(const std::optional<Georeference>& place) {
+    if (!place) return {};
+    return {{"latitude_deg", place->position.latitude_deg},
+            {"longitude_deg", place->position.longitude_deg},
+            {"height_m", place->position.height_m},
+            {"world_point_m", {place->point_m.x, place->point_m.y, place->point_m.z}},
+            {"crs", place->crs},
+            {"rotation", {place->rotation.w, place->rotation.x, place->rotation.y, place->rotation.z}}};
+}
+
 /// Returns the summary of a log for `relidar info --json`.
 Json summary_json(const LogSummary& summary) {
     Json boxes = Json::array(), lidars = Json::array();
@@ -136,6 +146,7 @@ Json summary_json(const LogSummary& summary) {
                  {"last_frame", log.frames.back().index},
                  {"seconds", duration_s(log)},
                  {"path_m", summary.path_m},
+                 {"georeference", summary_json(log.georeference)},
                  {"returns_share", nullptr},
                  {"boxes", boxes},
                  {"masked", summary.masked}};
@@ -223,6 +234,18 @@ std::string summary_text(const LidarSummary& summary) {
         summary.period_s, summary.max_range_m, second_returns);
 }
 
+/// Returns the place of the dataset's world on the earth, or an empty text.
+std::string describe_place(const std::optional<Georeference>& place) {
+    if (!place) return "";
+    const double turn_deg = 2.0 * std::acos(std::min(std::abs(place->rotation.w), 1.0)) * 180.0 / kPi;
+    return fmt::format(
+        "the world's point {:.2f},{:.2f},{:.2f} is at latitude {:.7f}, longitude {:.7f}, height {:.2f} m; "
+        "{}{}",
+        place->point_m.x, place->point_m.y, place->point_m.z, place->position.latitude_deg,
+        place->position.longitude_deg, place->position.height_m, place->crs,
+        turn_deg > 0.0 ? fmt::format(", turned by {:.2f} degrees", turn_deg) : "");
+}
+
 /// Returns the summary of a log as lines "name  value", followed by the table of boxes.
 std::string summary_text(const LogSummary& summary, bool show_instance_columns) {
     const Log& log = summary.log;
@@ -235,6 +258,7 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
     text += format_line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.frames.size(),
                                               log.frames.front().index, log.frames.back().index,
                                               duration_s(log), summary.path_m));
+    text += format_line("on earth", describe_place(log.georeference));
     if (summary.returns_share) {
         std::string returns = fmt::format("{:.1f} % of all rays return", 100.0 * *summary.returns_share);
         if (summary.is_sample)

@@ -24,6 +24,7 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
+#include "render/render_notes.hpp"
 #include "render/selection.hpp"
 
 namespace relidar::cli {
@@ -35,6 +36,8 @@ struct ExportOptions {
     std::optional<std::string> frames;
     std::optional<std::string> track;
     std::string points;
+    std::string crs;
+    bool latitudes = false;
     std::optional<double> spacing_m;
     DeviceCommandOptions device;
     bool quiet = false;
@@ -121,17 +124,27 @@ std::vector<int> map_frames(const ExportOptions& options, const Run& run,
 
 /// Writes a map in the format of the file's extension. A LAS file on the earth names its
 /// coordinate system.
-void write_map(const ExportOptions& options, const LidarPoints& points, const Log& log, double spacing_m) {
+/// @param points  relative to the offset of the log's world
+void write_map(const ExportOptions& options, LidarPoints points, const Log& log, double spacing_m,
+               const std::optional<MapProjector>& map) {
     const std::filesystem::path out = options.points;
-    const FileMetadata notes{{"relidar", RELIDAR_VERSION},
-                             {"run", absolute_path(options.run)},
-                             {"spacing_m", fmt::format("{}", spacing_m)}};
-    const bool is_on_earth = log.georeference && has_proj();
-    if (out.extension() == ".ply") write_ply(out, points, notes, log.world_offset_m);
-    else if (out.extension() == ".pcd") write_pcd(out, points, notes, log.world_offset_m);
-    else
-        write_las(out, points, notes, log.world_offset_m,
-                  is_on_earth ? GeoConverter(*log.georeference).wkt() : "");
+    FileMetadata notes{{"relidar", RELIDAR_VERSION},
+                       {"run", absolute_path(options.run)},
+                       {"spacing_m", fmt::format("{}", spacing_m)}};
+    glm::dvec3 origin_m = log.world_offset_m;
+    std::string wkt;
+    if (map) {
+        notes.push_back({"points_in", map->crs()});
+        map->project_points(points.position_m, Pose{{1, 0, 0, 0}, origin_m});
+        origin_m = map->to_map(origin_m);
+        wkt = map->map().wkt();
+    } else if (log.georeference && has_proj()) {
+        wkt = GeoConverter(*log.georeference).wkt();
+    }
+    if (out.extension() == ".ply") write_ply(out, points, notes, origin_m);
+    else if (out.extension() == ".pcd") write_pcd(out, points, notes, origin_m);
+    else write_las(out, points, notes, origin_m, wkt);
+    if (out.extension() == ".las" && !map) note_local_las(log, {"las"});
 }
 
 /// Renders the background at the poses of the log's LiDARs and writes all points as one
@@ -151,6 +164,7 @@ void export_map(const ExportOptions& options) {
     Run run = load_run(options.run);
     run.config = with_max_range(std::move(run.config), run.sequence);
     const Log& log = run.sequence;
+    const std::optional<MapProjector> earth_map = open_map(log, options.crs);
     std::vector<SimulatedSensor> sensor_of_lidar;
     for (std::size_t lidar = 0; lidar < log.lidars.size(); ++lidar)
         sensor_of_lidar.push_back(make_sensor(run.config, log, int(lidar)));
@@ -172,7 +186,7 @@ void export_map(const ExportOptions& options) {
     }
     end_progress();
     const LidarPoints points = map.mean_points();
-    write_map(options, points, log, spacing_m);
+    write_map(options, points, log, spacing_m, earth_map);
     if (!options.quiet)
         print(fmt::format("{}: {} points of {} scans\n", absolute_path(options.points), points.size(),
                           positions.size()));
@@ -198,13 +212,18 @@ std::string export_surfels(const std::filesystem::path& out, const Run& run) {
                        run.scene.models.size() == 1 ? "" : "s");
 }
 
-/// Writes the path of the sensor or of an actor in the dataset's world as CSV, and
-/// returns a description of the content.
-std::string export_path(const std::filesystem::path& out, const Run& run,
-                        const std::optional<std::string>& track) {
-    const PoseTrack sensor_path = run.sequence.lidar_track(0);
-    const PoseTrack& path = path_of(run.sequence, sensor_path, track);
-    write_trajectory(out, shift_track(path, run.sequence.world_offset_m));
+/// Writes the path of the sensor or of an actor as CSV, in the dataset's world, on a map
+/// or on the earth. Returns a description of the content.
+std::string export_path(const ExportOptions& options, const Run& run) {
+    const Log& log = run.sequence;
+    const PoseTrack sensor_path = log.lidar_track(0);
+    PoseTrack path = shift_track(path_of(log, sensor_path, options.track), log.world_offset_m);
+    if (const std::optional<MapProjector> map = open_map(log, options.crs))
+        for (Pose& pose : path.pose) pose = map->to_map(pose);
+    if (options.latitudes && !log.georeference)
+        throw UsageError("--latitudes: the run has no georeference; set it with `relidar edit`");
+    write_trajectory(options.out, path,
+                     options.latitudes ? std::optional<GeoConverter>(*log.georeference) : std::nullopt);
     return fmt::format("{} poses", path.pose.size());
 }
 
@@ -213,12 +232,19 @@ std::string export_path(const std::filesystem::path& out, const Run& run,
 void run_export(const ExportOptions& options) {
     if (options.points.empty() == options.out.empty()) throw UsageError("expected either --out or --points");
     if (!options.points.empty()) {
-        if (options.track) throw UsageError("--points and --track cannot be used together");
+        if (options.track || options.latitudes)
+            throw UsageError("--points cannot be used together with --track or --latitudes");
         return export_map(options);
     }
+    if (options.latitudes && !options.crs.empty())
+        throw UsageError("--latitudes and --crs cannot be used together");
     if (options.spacing_m) throw UsageError("--spacing needs --points");
     const std::filesystem::path out = options.out;
     const std::string extension = out.extension().string();
+    if (extension != ".csv" && (options.latitudes || !options.crs.empty()))
+        fail<UsageError>("--out {}: found {}, which needs a name that ends in .csv{}", options.out,
+                         options.latitudes ? "--latitudes" : "--crs",
+                         options.latitudes ? "" : ", or --points");
     if (options.track && (options.frames || extension != ".csv"))
         fail<UsageError>("--out {}: expected a name that ends in .csv and no --frames, because of --track",
                          options.out);
@@ -236,8 +262,7 @@ void run_export(const ExportOptions& options) {
 
     const Run run = load_run(options.run);
     const OutputFolder folder(folder_of(out));
-    const std::string content =
-        *format == ".ply" ? export_surfels(out, run) : export_path(out, run, options.track);
+    const std::string content = *format == ".ply" ? export_surfels(out, run) : export_path(options, run);
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), content));
 }
 
@@ -251,13 +276,15 @@ world coordinates; `relidar edit` cannot read such files.
 The path has the columns time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world. render
 --trajectory and edit --trajectory read it. With --track it has the centre of the actor's box.
 --points merges the points of the log's LiDARs without actors to a map in the dataset's world. It has
-the mean point of each cell. .las names the coordinate system if the run has a georeference.
+the mean point of each cell. If the run has a georeference, --crs gives coordinates of a map, which .las
+names. Without --crs, it names a coordinate system only if the axes of the world are those of a map.
 Examples:
   relidar export run --out scene.ply
   relidar export run --out frames --frames 10:20
   relidar export run --out trajectory.csv
   relidar export run --out car.csv --track 0
-  relidar export run --points map.las --spacing 0.05)";
+  relidar export run --out path.csv --latitudes
+  relidar export run --points map.las --spacing 0.05 --crs EPSG:32632)";
 
 }  // namespace
 
@@ -278,6 +305,10 @@ void add_export(CLI::App& app, ParsedCommand& call) {
                "and all actors at their poses");
     add_option(*command, "--track NAME", options->track,
                "write the path of this actor to the .csv, not the sensor's");
+    add_option(*command, "--crs EPSG:N", options->crs,
+               "coordinate system of --points or the .csv (for example EPSG:32632); needs a georeference");
+    command->add_flag("--latitudes", options->latitudes,
+                      "write latitude_deg,longitude_deg,height_m to the .csv; needs a georeference");
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kExportHelp);

@@ -46,6 +46,12 @@ PointCoordinateFrame parse_frame(const std::string& name) {
     fail<UsageError>("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name);
 }
 
+void check_map_formats(const std::string& crs, const std::vector<std::string>& formats) {
+    for (const std::string& format : formats)
+        if (!crs.empty() && format != "las" && format != "ply" && format != "pcd")
+            fail<UsageError>("--crs {}: found --format {}; expected las, ply or pcd", crs, format);
+}
+
 void add_name_options(CLI::App& command, RecordingNames& parsed_names) {
     add_option(command, "--topic NAME", parsed_names.topic,
                "topic of the point clouds in mcap and rosbag; {name} stands for the sensor's name in a rig "

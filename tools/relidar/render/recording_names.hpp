@@ -22,6 +22,9 @@ struct RecordingNames {
 std::vector<std::string> parse_formats(const std::string& format_list);
 PointCoordinateFrame parse_frame(const std::string& name);  ///< value of --frame
 
+/// Checks that all formats can be written on the map of --crs.
+void check_map_formats(const std::string& crs, const std::vector<std::string>& formats);
+
 void add_name_options(CLI::App& command, RecordingNames& parsed_names);
 /// Checks the options --topic and --frame-id.
 /// @throws UsageError if no recording (a file with all scans) is written, or if several

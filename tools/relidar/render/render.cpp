@@ -3,6 +3,7 @@
 // sensor is at its recorded poses, at shifted poses, or on a path of the user. The sensor
 // may be the log's sensor or another sensor.
 #include <algorithm>
+#include <charconv>
 #include <iterator>
 #include <memory>
 #include <optional>
@@ -49,6 +50,8 @@ struct RenderOptions {
     std::vector<std::string> only;
     DeviceCommandOptions device;
     std::string point_frame = "sensor";
+    std::string crs;
+    std::optional<MapProjector> map = {};  ///< of --crs
     std::optional<std::uint64_t> sample;
     std::string weather;
     std::int64_t time_shift_ns = 0;  ///< ScanOutputOptions::time_shift_ns; computed from the run
@@ -81,7 +84,8 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
     apply_names(format, rig_sensor_name.empty() ? log_name : rig_sensor_name, options.names);
     if (!options.trajectory.file.empty()) format.trajectory = absolute_path(options.trajectory.file);
     format.formats = parse_formats(options.formats);
-    format.frame = parse_frame(options.point_frame);
+    format.frame = options.map ? PointCoordinateFrame::world : parse_frame(options.point_frame);
+    format.map = options.map;
     format.deskew = options.deskew;
     format.only = options.only;
     remove_hidden_boxes(format, run, options.only);
@@ -97,9 +101,10 @@ void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
     if (ranks.size() > 1)
         fail<UsageError>("--layout {}: found {} MPI processes; expected one", options.layout, ranks.size());
     // An option that differs from its default was set by the user.
-    if (options.formats != "npz" || options.merge || options.deskew || options.point_frame != "sensor")
+    if (options.formats != "npz" || options.merge || options.deskew || options.point_frame != "sensor" ||
+        !options.crs.empty())
         fail<UsageError>(
-            "--layout {}: found --format, --merge, --deskew or --frame; the layout decides these",
+            "--layout {}: found --format, --merge, --deskew, --frame or --crs; the layout decides these",
             options.layout);
 }
 
@@ -114,6 +119,7 @@ void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGr
                 format, ranks.size());
     check_layout(options, ranks);
     check_recording_names(options.names, formats, is_rig && !options.merge);
+    check_map_formats(options.crs, formats);
     // Called only for their errors.
     (void)parse_frame(options.point_frame);
     (void)parse_weather(options.weather);
@@ -366,6 +372,8 @@ void print_render_notes(const RenderOptions& options, const Run& run, const Scan
     if (std::ranges::any_of(parse_formats(options.formats), is_recording))
         note_time_shift(run.sequence, options.time_shift_ns);
     if (options.sample) note_missing_noise(run, lidar);
+    const bool is_in_world = parse_frame(options.point_frame) == PointCoordinateFrame::world;
+    if (is_in_world && !options.map) note_local_las(run.sequence, parse_formats(options.formats));
     note_weather(parse_weather(options.weather));
     for (const RenderedSensor& target : sensors) note_sensor(run, renderer, target.sensor);
 }
@@ -395,6 +403,7 @@ void run_render(const RenderOptions& command_options) {
     const auto sweeps = has_user_path ? sweeps_on_path(run, options, user_path, lidar)
                                       : sweeps_of_frames(run, options, lidar);
     const std::vector<RenderedSensor> sensors = list_sensors(options.sensor, rig, run, lidar);
+    options.map = open_map(run.sequence, options.crs);
     options.time_shift_ns = largest_time_shift_ns(run, sensors, sweeps);
     if (options.vehicle) {
         const PoseTrack log_path = shift_track(run.sequence.lidar_track(lidar), run.sequence.world_offset_m);
@@ -431,20 +440,6 @@ void run_render(const RenderOptions& command_options) {
                           height_m ? fmt::format("{:.2f} m", *height_m) : "an unknown height"));
 }
 
-/// Adds the options that select a path of the sensor and the times of scans on this path.
-void add_path_options(CLI::App& command, TrajectoryOptions& trajectory) {
-    add_option(command, "--trajectory FILE.csv", trajectory.file,
-               "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the "
-               "dataset's world and the log's time, or with latitude_deg,longitude_deg,height_m in the run's "
-               "georeference; `relidar export RUN --out FILE.csv` writes the path of the log; --offset "
-               "shifts the sensor from the path; rays have the nominal angles of the sensor, unlike those of "
-               "--frames, which repeat a recorded scan");
-    add_option(command, "--rate HZ", trajectory.rate_hz,
-               "scans per second on the trajectory (default: the rate of the log's sensor)");
-    add_option(command, "--times FIRST:LAST:STEP", trajectory.times,
-               "times of the scans on the trajectory, instead of --rate: first, last and step in seconds");
-}
-
 /// Adds the options that select the files to write and their content.
 void add_file_options(CLI::App& command, RenderOptions& options) {
     add_option(command, "--format LIST", options.formats,
@@ -456,6 +451,8 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
     add_option(command, "--frame WHAT", options.point_frame,
                "frame of reference of points: sensor, each point at its own firing time; or world, the "
                "dataset's (default: sensor)");
+    add_option(command, "--crs EPSG:N", options.crs,
+               "coordinates of this map in las, ply and pcd, for example EPSG:32632; needs a georeference");
     add_channels_option(command, options.channels);
     command.add_flag(
         "--boxes", options.boxes,
@@ -527,8 +524,10 @@ void add_render(CLI::App& app, ParsedCommand& call) {
                "the noise of the log (default: the most likely scan, without noise)")
         ->check([](const std::string& text) {
             // An empty text means that the value is valid.
-            const bool is_negative = text.starts_with('-');
-            return is_negative ? fmt::format("found {}, expected an integer of at least 0", text) : "";
+            std::uint64_t seed = 0;
+            const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), seed);
+            const bool is_valid = error == std::errc() && *end == '\0';
+            return is_valid ? "" : fmt::format("found {}, expected an integer from 0 to 2^64 - 1", text);
         });
     add_weather_option(*command, options->weather,
                        "all scans; the random seed is the value of --sample, or 0 without it");

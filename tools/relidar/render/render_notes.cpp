@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "render/render_notes.hpp"
 
+#include <algorithm>
+#include <cmath>
 #include <map>
 
 #include <fmt/format.h>
@@ -8,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/log/log_time.hpp>
+#include "base/fail.hpp"
 #include "console.hpp"
 
 namespace relidar::cli {
@@ -42,6 +45,29 @@ void note_missing_noise(const Run& run, int lidar) {
 
 void note_time_shift(const Log& log, std::int64_t time_shift_ns) {
     if (const std::string note = time_shift_note(log, time_shift_ns); !note.empty()) print_note(note);
+}
+
+std::optional<MapProjector> open_map(const Log& log, const std::string& crs) {
+    if (crs.empty()) return {};
+    if (!log.georeference)
+        fail<UsageError>(
+            "--crs {}: the run has no georeference; set it with `relidar edit RUN --georeference FILE --out "
+            "RUN2`",
+            crs);
+    MapProjector map(*log.georeference, crs);
+    if (const std::string note = map.map().scale_note(); !note.empty()) print_note(note);
+    return map;
+}
+
+void note_local_las(const Log& log, const std::vector<std::string>& formats) {
+    if (std::ranges::count(formats, "las") == 0) return;
+    if (!log.georeference || !has_proj() || !GeoConverter(*log.georeference).wkt().empty()) return;
+    const GeodeticPosition& position = log.georeference->position;
+    const int zone = 1 + int(std::floor((position.longitude_deg + 540.0) / 6.0)) % 60;
+    print_note(fmt::format(
+        "las: the points are in the dataset's world, whose axes are not those of a map, so the file "
+        "names no coordinate system; use --crs EPSG:{} for UTM",
+        (position.latitude_deg < 0.0 ? 32700 : 32600) + zone));
 }
 
 void note_weather(const Weather& weather) {

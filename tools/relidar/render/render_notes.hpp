@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -19,6 +20,14 @@ void note_missing_noise(const Run& run, int lidar);
 void note_time_shift(const Log& log, std::int64_t time_shift_ns);
 
 void note_weather(const Weather& weather);
+
+/// Returns the map of --crs, or nothing for an empty text. Notes if its lengths differ.
+/// @throws UsageError if the log has no georeference
+std::optional<MapProjector> open_map(const Log& log, const std::string& crs);
+
+/// Notes if LAS files of points in the dataset's world name no coordinate system,
+/// although the log has a georeference.
+void note_local_las(const Log& log, const std::vector<std::string>& formats);
 
 /// Notes if rays cross space, or meet sides of actors, that the log did not observe.
 /// @param scan_json_entries entries of scans.json

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
@@ -52,6 +53,19 @@ double max_distance_m(const Log& log, const PoseTrack& sensor_track, const std::
 }
 
 }  // namespace
+
+void add_path_options(CLI::App& command, TrajectoryOptions& trajectory) {
+    add_option(command, "--trajectory FILE.csv", trajectory.file,
+               "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the "
+               "dataset's world and the log's time, or with latitude_deg,longitude_deg,height_m in the run's "
+               "georeference; `relidar export RUN --out FILE.csv` writes the path of the log; --offset "
+               "shifts the sensor from the path; rays have the nominal angles of the sensor, unlike those of "
+               "--frames, which repeat a recorded scan");
+    add_option(command, "--rate HZ", trajectory.rate_hz,
+               "scans per second on the trajectory (default: the rate of the log's sensor)");
+    add_option(command, "--times FIRST:LAST:STEP", trajectory.times,
+               "times of the scans on the trajectory, instead of --rate: first, last and step in seconds");
+}
 
 void check_time_options(const TrajectoryOptions& trajectory, bool has_frames) {
     const bool has_path = !trajectory.file.empty(), has_times = !trajectory.times.empty();

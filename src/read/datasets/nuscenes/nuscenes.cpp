@@ -379,10 +379,16 @@ private:
         const read::LidarScanLayout lidar{
             .lowest_first = format_.has_rings,
             .sweep_duration_s = format_.has_times ? step_s_ : kLyftRevolution_s};
-        read::read_scan_files(sequence_, {.lidars = std::vector(sequence_.lidars.size(), lidar)}, units,
-                              files, options_);
-        // The times of compensated points are unknown, so all have the time of the frame.
-        if (format_.has_rings) sequence_.rolling_shutter = false;
+        // Compensated points of other LiDARs have the time of the frame.
+        const bool is_compensated = format_.has_rings;
+        DatasetOptions options = options_;
+        if (is_compensated) options.rolling_shutter = false;  // keeps them as they are
+        read::read_scan_files(
+            sequence_,
+            {.lidars = std::vector(sequence_.lidars.size(), lidar), .motion_compensated = is_compensated},
+            units, files, options);
+        if (!is_compensated) return;
+        for (Frame& frame : sequence_.frames) std::ranges::fill(frame.scan.rays.time_offset_s, 0.0f);
     }
 };
 

@@ -273,6 +273,7 @@ TEST_F(ExrDamage, OfValues) {
     expect(with("range", 2e6f), "ray 7 ... 2000000");
     for (const float range_m : {NAN, -1.0f, INFINITY, -INFINITY}) expect(with("range", range_m), "nothing");
     expect(with("intensity", 51.0f), "51 ... 0 ... 1 ... \"intensity_max\"");
+    expect(with("intensity", -0.5f), "ray 7 ... -0.5 ... at least 0");
     expect(with("time", NAN), "ray 7 ... time ... nan");
     expect(with("ring", 0.5f), "ray 7 ... ring ... 0.5");
 }
