@@ -9,6 +9,9 @@
 
 #include <relidar/log/sequence.hpp>
 
+namespace CLI {
+class App;
+}
 namespace relidar {
 struct Run;
 }
@@ -23,6 +26,9 @@ struct TrajectoryOptions {
     /// "first:last:step" in seconds of the log; empty: evenly spaced at `rate_hz`
     std::string times;
 };
+
+/// Adds the options that select a path of the sensor and the times of scans on this path.
+void add_path_options(CLI::App& command, TrajectoryOptions& trajectory);
 
 /// Checks that the options for times do not contradict each other.
 void check_time_options(const TrajectoryOptions& trajectory, bool has_frames);
