@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <map>
@@ -40,9 +41,9 @@ constexpr double kMinRanges = 2.5, kMaxView_m = 20.0;
 // ray that just misses flat ground ends at the ground soon after the point.
 constexpr double kMinBehind = 1.5, kMinBehind_m = 0.5;
 constexpr std::size_t kMostVoters = 30000;
-constexpr std::uint32_t kMinVotes = 10;
+constexpr std::uint32_t kMinVotes = 5;
 constexpr double kMinThroughShare = 0.7;
-constexpr int kVoteWindow = 2;  // cells on each side whose votes count together
+constexpr int kVoteWindow = 4;  // cells on each side whose votes count together
 constexpr int kFillColumns = 2, kFillRows = 6;
 constexpr std::size_t kMinBodyCells = 20;  // 5 square degrees
 
@@ -139,9 +140,9 @@ ReturnsByCell collect_returns(const std::vector<SensorPlace>& places,
     return result;
 }
 
-/// Sets the range and intensity of a cell if its range is constant.
+/// Sets the range and intensity of a cell if its returns have the same range.
 /// @param near  all near returns in the cell
-/// @return the returns with this range; none if the range is not constant
+/// @return the returns with this range; none if the cell has other returns
 std::vector<NearReturn> measure_cell(BodyTable& table, const ReturnsByCell& returns,
                                      std::span<const NearReturn> near,
                                      const std::vector<SensorPlace>& places) {
@@ -149,26 +150,46 @@ std::vector<NearReturn> measure_cell(BodyTable& table, const ReturnsByCell& retu
     for (const NearReturn& hit : near) ranges_m.push_back(hit.range_m);
     const float range_m = compute_median(ranges_m);
     std::vector<NearReturn> constant;
-    std::size_t n_places = 0;
     for (const NearReturn& hit : near) {
         if (std::abs(hit.range_m - range_m) > body_tolerance_m(range_m)) continue;
-        n_places += constant.empty() || constant.back().place != hit.place;
         constant.push_back(hit);
         intensities.push_back(places[hit.place].frame->scan.intensity[hit.ray]);
     }
     const std::size_t cell = near.front().cell;
     const double n_returns = returns.n_returns[cell], n_rays = returns.n_rays[cell];
-    if (n_places < kMinPlaces || double(constant.size()) < kMinConstantShare * n_returns ||
-        n_returns < kMinReturnedShare * n_rays)
+    if (double(constant.size()) < kMinConstantShare * n_returns || n_returns < kMinReturnedShare * n_rays)
         return {};
     table.range_m[cell] = range_m;
     table.intensity[cell] = n_returns < 0.5 * n_rays ? BodyTable::kNoReturn : compute_median(intensities);
     return constant;
 }
 
+/// Removes the cells that show their range from fewer than kMinPlaces places. Counts the
+/// returns of neighbouring cells, too, because a beam can alternate between two cells.
+void remove_rare(BodyTable& table, const std::vector<NearReturn>& constant,
+                 const std::vector<std::size_t>& chosen) {
+    std::vector<std::uint32_t> seen_from(BodyTable::kCells);  // a bit for each chosen place
+    static_assert(kMostPlaces <= 32);
+    for (const NearReturn& hit : constant)
+        seen_from[hit.cell] |= 1u << (std::ranges::lower_bound(chosen, hit.place) - chosen.begin());
+    std::vector<std::size_t> rare;
+    for (std::size_t cell = 0; cell < BodyTable::kCells; ++cell) {
+        const float range_m = table.range_m[cell];
+        std::uint32_t seen_nearby = 0;
+        if (range_m > 0.0f)
+            visit_window(cell, 1, [&](std::size_t near) {
+                if (std::abs(table.range_m[near] - range_m) <= body_tolerance_m(range_m))
+                    seen_nearby |= seen_from[near];
+            });
+        if (std::size_t(std::popcount(seen_nearby)) < kMinPlaces) rare.push_back(cell);
+    }
+    for (const std::size_t cell : rare) table.range_m[cell] = 0.0f;
+}
+
 /// Sets all cells with a constant near range. Returns their returns.
 std::vector<NearReturn> find_constant(BodyTable& table, const ReturnsByCell& returns,
-                                      const std::vector<SensorPlace>& places) {
+                                      const std::vector<SensorPlace>& places,
+                                      const std::vector<std::size_t>& chosen) {
     table.range_m.assign(BodyTable::kCells, 0.0f);
     table.intensity.assign(BodyTable::kCells, 0.0f);
     std::vector<NearReturn> all;
@@ -178,6 +199,8 @@ std::vector<NearReturn> find_constant(BodyTable& table, const ReturnsByCell& ret
         const auto constant = measure_cell(table, returns, near.subspan(begin, end - begin), places);
         all.insert(all.end(), constant.begin(), constant.end());
     }
+    remove_rare(table, all, chosen);
+    std::erase_if(all, [&](const NearReturn& hit) { return !(table.range_m[hit.cell] > 0.0f); });
     return all;
 }
 
@@ -308,9 +331,11 @@ std::vector<CellVotes> count_cell_votes(const Log& log, const std::vector<Sensor
 void remove_scenery(BodyTable& table, const std::vector<CellVotes>& votes) {
     std::vector<std::size_t> scenery;
     for (std::size_t cell = 0; cell < BodyTable::kCells; ++cell) {
-        if (!(table.range_m[cell] > 0.0f)) continue;
+        const float range_m = table.range_m[cell];
+        if (!(range_m > 0.0f)) continue;
         CellVotes sum;
         visit_window(cell, kVoteWindow, [&](std::size_t near) {
+            if (std::abs(table.range_m[near] - range_m) > body_tolerance_m(range_m)) return;
             sum.through += votes[near].through;
             sum.solid += votes[near].solid;
         });
@@ -419,7 +444,7 @@ OwnBody find_own_body(const Log& log, int lidar, const std::vector<int>& frames)
     if (places.size() < kMinPlaces || !has_near_returns(places, chosen)) return {};
     const ReturnsByCell returns = collect_returns(places, chosen);
     OwnBody body;
-    const std::vector<NearReturn> constant = find_constant(body.table, returns, places);
+    const std::vector<NearReturn> constant = find_constant(body.table, returns, places, chosen);
     remove_scenery(body.table, count_cell_votes(log, places, chosen, constant));
     fill_cells(body.table, returns.n_rays);
     remove_specks(body.table);
