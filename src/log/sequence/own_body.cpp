@@ -327,23 +327,36 @@ std::vector<CellVotes> count_cell_votes(const Log& log, const std::vector<Sensor
     return votes;
 }
 
-/// Removes the cells that rays from other places do not pass through.
+/// Removes the cells that rays from other places do not pass through. Cells that few
+/// returned rays have seen, for example in front of the sky, stay if they continue a cell
+/// that rays pass through.
 void remove_scenery(BodyTable& table, const std::vector<CellVotes>& votes) {
-    std::vector<std::size_t> scenery;
-    for (std::size_t cell = 0; cell < BodyTable::kCells; ++cell) {
+    const auto is_same_surface = [&](std::size_t cell, std::size_t near) {
         const float range_m = table.range_m[cell];
-        if (!(range_m > 0.0f)) continue;
+        return std::abs(table.range_m[near] - range_m) <= body_tolerance_m(range_m);
+    };
+    std::vector<bool> is_unsure(BodyTable::kCells), is_body(BodyTable::kCells);
+    std::vector<std::size_t> body;
+    for (std::size_t cell = 0; cell < BodyTable::kCells; ++cell) {
+        if (!(table.range_m[cell] > 0.0f)) continue;
         CellVotes sum;
         visit_window(cell, kVoteWindow, [&](std::size_t near) {
-            if (std::abs(table.range_m[near] - range_m) > body_tolerance_m(range_m)) return;
+            if (!is_same_surface(cell, near)) return;
             sum.through += votes[near].through;
             sum.solid += votes[near].solid;
         });
-        const bool is_passed =
-            sum.through >= kMinVotes && sum.through >= kMinThroughShare * (sum.through + sum.solid);
-        if (!is_passed) scenery.push_back(cell);
+        is_unsure[cell] = sum.through + sum.solid < kMinVotes;
+        is_body[cell] = !is_unsure[cell] && sum.through >= kMinThroughShare * (sum.through + sum.solid);
+        if (is_body[cell]) body.push_back(cell);
     }
-    for (const std::size_t cell : scenery) table.range_m[cell] = 0.0f;
+    for (std::size_t i = 0; i < body.size(); ++i)
+        visit_window(body[i], kFillRows, [&](std::size_t near) {
+            if (!is_unsure[near] || is_body[near] || !is_same_surface(body[i], near)) return;
+            is_body[near] = true;
+            body.push_back(near);
+        });
+    for (std::size_t cell = 0; cell < BodyTable::kCells; ++cell)
+        if (!is_body[cell]) table.range_m[cell] = 0.0f;
 }
 
 /// Copies the nearest cell with rays to cells without rays, first along rows, then along

@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kDegree = 3.14159265358979323846 / 180.0;
+constexpr double kOneDegree = 3.14159265358979323846 / 180.0;
 
 std::vector<int> all_frames(const Log& log) {
     std::vector<int> frames(log.frames.size());
@@ -24,7 +24,7 @@ std::vector<int> all_frames(const Log& log) {
 
 /// A person behind the sensor: 60 degrees wide, up to 17 degrees of elevation.
 bool is_on_person(const glm::vec3& direction) {
-    return std::abs(std::atan2(direction.y, direction.x)) > 150.0 * kDegree && direction.z < 0.3f;
+    return std::abs(std::atan2(direction.y, direction.x)) > 150.0 * kOneDegree && direction.z < 0.3f;
 }
 
 /// Replaces the ranges of all scans. The function returns 0 for a ray without a return.
@@ -37,7 +37,7 @@ void set_ranges(Log& log, const std::function<float(const glm::vec3& direction, 
 }
 
 Log street_with_person() {
-    Log log = make_street_log({.n_frames = 12, .rows = 32, .columns = 512});
+    Log log = make_street_log({.n_frames = 12, .rows = 16, .columns = 512});
     int n = 0;
     set_ranges(log, [&](const glm::vec3& direction, float range_m) {
         return is_on_person(direction) ? 0.4f + 0.01f * float(++n % 5 - 2) : range_m;
@@ -47,7 +47,8 @@ Log street_with_person() {
 
 /// A log of a sensor that moves straight along x, among surfaces that extend along x.
 Log straight_log(double step_m, const std::function<float(const glm::vec3& direction)>& range_of) {
-    Log log = make_street_log({.n_frames = 15, .rows = 32, .columns = 512});
+    static const Log street = make_street_log({.n_frames = 15, .rows = 32, .columns = 360});
+    Log log = street;
     for (std::size_t k = 0; k < log.world_from_vehicle.pose.size(); ++k)
         log.world_from_vehicle.pose[k] = {.translation = {step_m * double(k), 0.0, 0.0}};
     set_ranges(log, [&](const glm::vec3& direction, float) { return range_of(direction); });
@@ -108,7 +109,7 @@ TEST(OwnBody, SceneryWithConstantRangesIsNotTheBody) {
         const OwnBody body = find_own_body(log, 0, all_frames(log));
         EXPECT_TRUE(body.table.empty()) << what << ": " << body.share;
     };
-    expect_none(make_street_log({.n_frames = 20, .rows = 32, .columns = 512, .people = true}), "street");
+    expect_none(make_street_log({.n_frames = 20, .rows = 32, .columns = 360, .people = true}), "street");
     for (const double step_m : {0.25, 0.8, 2.5}) {
         expect_none(straight_log(step_m, [](const glm::vec3& d) { return tunnel_range_m(d, 1.2f, 1e9f); }),
                     "flat ground");
