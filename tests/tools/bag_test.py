@@ -289,7 +289,7 @@ def test_jump():
     for _, _, stamp, value in messages:
         for t in value.get("transforms", []):
             if t["header"]["frame_id"] == "map" and stamp > jump:
-                t["transform"]["translation"]["x"] += 0.6
+                t["transform"]["position"]["x"] += 0.6
     bags.write_mcap(WORK / "jump.mcap", messages)
     _, head, notes = convert(WORK / "jump.mcap")
     expect([f["number"] for f in head["frames"]] == [k for k in range(N) if k != 2], "the torn sweep is left out")

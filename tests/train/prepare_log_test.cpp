@@ -172,7 +172,7 @@ TEST(PrepareLog, TheBodyThatCarriesTheLidarTrainsNothing) {
     for (Frame& frame : log.frames)
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (is_on_carrier(frame.scan.rays.direction[ray])) frame.scan.range_m[ray] = 0.5f;
-    Run run;
+    relidar::Run run;
     run.config.train.refine_poses = "none";
     run.split = split_frames(log, 4);
     const Frame held_out = log.frames[std::size_t(run.split.test[0])];
@@ -201,7 +201,7 @@ TEST(PrepareLog, TheBodyThatCarriesTheLidarTrainsNothing) {
 class PlaceHeldOut : public test::DeviceTest {};
 
 Run train_small_run(Device& device) {
-    Run run;
+    relidar::Run run;
     run.sequence =
         make_street_log({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
     run.split = split_frames(run.sequence, 4);

@@ -259,8 +259,8 @@ private:
     void leave_out_torn() {
         const std::vector<PoseJump> jumps = poses_.path->find_jumps();
         if (jumps.empty()) return;
-        // Times of the first and the last ray of each LiDAR's sweeps, because `info` reads
-        // only some scans.
+        // Times of the first and the last ray of each LiDAR's sweeps. `info` reads only
+        // some scans.
         std::vector<std::pair<float, float>> span_s(sequence_.lidars.size());
         for (const Frame& frame : sequence_.frames)
             if (const auto& offsets_s = frame.scan.rays.time_offset_s; !offsets_s.empty()) {

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <optional>
 
+#include <relidar/log/range_image.hpp>
 #include <relidar/run/run.hpp>
 
 #include "base/parallel.hpp"
@@ -12,7 +13,6 @@
 namespace relidar {
 namespace {
 
-constexpr float kBlockedProbability = 0.9f;  // drop probability of a beam that something blocks
 // Beams show what is between them, but not what is farther above or below.
 constexpr double kMaxBesideBeam_rad = 2.0 * kPi / 180.0;
 // The distance of a body without returns is unknown. Nothing else can be nearer.
@@ -27,12 +27,12 @@ std::optional<std::uint16_t> find_nearest_beam(const std::vector<Beam>& beams, d
     return std::uint16_t(nearest - beams.begin());
 }
 
-/// Returns true if the beams of the log's LiDAR have (almost) no return in a direction.
+/// Returns true if the LiDAR of the log drops its rays in a direction.
 bool is_blocked(const Run& run, int lidar, const glm::vec3& direction) {
     const std::vector<Beam>& beams = run.sequence.lidars[std::size_t(lidar)].sensor.beams;
     const auto nearest = find_nearest_beam(beams, std::asin(double(direction.z)));
     const auto beam = nearest ? run.sequence.find_global_beam(lidar, *nearest) : std::nullopt;
-    return beam && run.scene.sensor_drop.probability_of(*beam, direction) >= kBlockedProbability;
+    return beam && run.scene.sensor_drop.probability_of(*beam, direction) >= kDropThreshold;
 }
 
 }  // namespace

@@ -393,7 +393,8 @@ TEST(OwnVehicle, BlocksWhatTheLogsLidarSawOfIt) {
     const glm::vec3 down(0.8f, 0.0f, -0.6f), left(0.0f, 0.8f, -0.6f);
     VehicleBody body;
     body.seen = {std::vector<float>(BodyTable::kCells), std::vector<float>(BodyTable::kCells)};
-    // The other sensor is turned to the left, so its ray ahead is the log's ray to the left.
+    // The other sensor is turned to the left, so its ray ahead is the log's ray to the
+    // left.
     body.seen_from_sensor = make_rotation(0.5 * kPi, 0.0, 0.0);
     body.seen.range_m[BodyTable::cell_of(left)] = 1.2f;
     for (const float intensity : {0.3f, BodyTable::kNoReturn}) {
@@ -413,11 +414,11 @@ TEST(OwnVehicle, BlocksWhatTheLogsLidarSawOfIt) {
 }
 
 TEST(OwnVehicle, OfTheLogIsWhereItsLidarHasNoReturns) {
-    Run run;
+    relidar::Run run;
     run.sequence.lidars[0].sensor.beams = {{.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
     EXPECT_TRUE(find_log_body(run, 0, {}).empty());
     // All rays of the upper beam behind the sensor are dropped, within 45 degrees.
-    run.scene.sensor_drop = {2, 8, std::vector<float>(16, 0.5f)};
+    run.scene.sensor_drop = {2, 8, std::vector<float>(16, 0.4f)};
     EXPECT_TRUE(find_log_body(run, 0, {}).empty());
     run.scene.sensor_drop.probability[0] = run.scene.sensor_drop.probability[7] = 1.0f;
     const VehicleBody body = find_log_body(run, 0, {});
