@@ -415,7 +415,7 @@ TEST(OwnVehicle, BlocksWhatTheLogsLidarSawOfIt) {
 
 TEST(OwnVehicle, OfTheLogIsWhereItsLidarHasNoReturns) {
     relidar::Run run;
-    run.sequence.lidars[0].sensor.beams = {{.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
+    run.sequence.lidars[0].sensor.beams = {{.elevation_rad = 0.0}, {.elevation_rad = -0.06}};
     EXPECT_TRUE(find_log_body(run, 0, {}).empty());
     // All rays of the upper beam behind the sensor are dropped, within 45 degrees.
     run.scene.sensor_drop = {2, 8, std::vector<float>(16, 0.4f)};
@@ -427,8 +427,8 @@ TEST(OwnVehicle, OfTheLogIsWhereItsLidarHasNoReturns) {
         return body.seen.range_m[BodyTable::cell_of(glm::vec3(direction))] > 0.0f;
     };
     EXPECT_TRUE(is_blocked(2.6, 0.01));
-    EXPECT_TRUE(is_blocked(-2.6, -0.04)) << "nearer to the upper beam";
-    EXPECT_FALSE(is_blocked(2.6, -0.06)) << "nearer to the lower beam";
+    EXPECT_TRUE(is_blocked(-2.6, -0.02)) << "nearer to the upper beam";
+    EXPECT_FALSE(is_blocked(2.6, -0.04)) << "nearer to the lower beam";
     EXPECT_FALSE(is_blocked(2.6, 0.1)) << "above all beams";
     EXPECT_FALSE(is_blocked(2.2, 0.01)) << "beside the sector";
 }
