@@ -197,7 +197,7 @@ TEST(PrepareLog, TheBodyThatCarriesTheLidarTrainsNothing) {
     const Pose& first = track.pose.front();
     const auto observed_behind = [&] {
         const ObservedVoxelSet seen = observe_coverage(run.sequence, track, run.split.train, 80.0);
-        return seen.observed_fraction(first * glm::dvec3(-3, 0, 0), first * glm::dvec3(-6, 0, 0));
+        return seen.observed_fraction(first * glm::dvec3(-7, 0, 0), first * glm::dvec3(-8.5, 0, 0));
     };
     EXPECT_LT(observed_behind(), 0.1);
     run.sequence.lidars[0].own_body = {};
