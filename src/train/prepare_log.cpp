@@ -6,6 +6,7 @@
 #include <cmath>
 #include <optional>
 
+#include <relidar/log/own_body.hpp>
 #include <relidar/read/dataset.hpp>
 #include <relidar/registration/registration.hpp>
 
@@ -16,6 +17,20 @@
 namespace relidar {
 
 namespace {
+
+/// Finds what carries each LiDAR, and removes its returns from the training frames.
+void hide_carriers(Log& log, const Split& split, const LogPreparationCallbacks& session) {
+    for (int l = 0; l < std::ssize(log.lidars); ++l) {
+        const OwnBody body = find_own_body(log, l, split.train);
+        log.lidars[std::size_t(l)].own_body = body.table;
+        // A log with poses has a note about this body since it was loaded.
+        const auto is_of_body = [&](const Note& n) { return n.id == "own_body" && n.lidar == l; };
+        if (body.table.empty() || std::ranges::any_of(log.notes, is_of_body)) continue;
+        log.notes.push_back({"own_body", l, body.describe()});
+        session.report_line(body.describe());
+    }
+    hide_own_body(log, split.train);
+}
 
 /// Returns true if the log has poses from which the registration can start.
 bool has_usable_poses(const Log& sequence, const Config& config) {
@@ -418,7 +433,10 @@ void prepare_log(Log& log, const Split& split, const Config& config, LogPreparat
             "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from the "
             "scans; use train.refine_poses=sensor");
     begin_stage(callbacks.stages, "register");
+    // Without poses, the search needs the poses that the registration estimates.
+    if (has_usable_poses(log, config)) hide_carriers(log, split, callbacks);
     if (registers_sensors(config.train)) register_vehicle(log, split, config, callbacks);
+    if (!has_usable_poses(log, config)) hide_carriers(log, split, callbacks);
     begin_stage(callbacks.stages, "calibrate");
     calibrate_lidars(log, split, config.sensor, callbacks);
     begin_stage(callbacks.stages, "movers");

@@ -134,7 +134,9 @@ Scan select_actor_rays(const Run& run, const Frame& frame, const PoseTrack& worl
         return std::ranges::any_of(
             visible_actors, [&](const ActorSighting& actor) { return actor.hits_box(world_ray, offset_s); });
     };
+    const BodyTable& own_body = run.sequence.lidar_of(frame).own_body;
     const auto is_usually_dropped = [&](std::size_t ray) {
+        if (own_body.hides(all.rays.direction[ray], all.range_m[ray])) return true;
         const auto beam = run.sequence.find_global_beam(frame.lidar, all.rays.channel[ray]);
         return beam &&
                run.scene.sensor_drop.probability_of(*beam, all.rays.direction[ray]) > kMaxDropProbability;

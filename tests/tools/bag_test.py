@@ -283,6 +283,21 @@ def test_poses():
     expect(names(run("info", WORK / "frames.mcap"), f"{N - 3} clouds ... 'rear' ... 'lidar'"), "clouds of two frames")
 
 
+def test_jump():
+    """A loop closure moves map -> odom at once by 0.6 m, within sweep 2."""
+    messages, jump = log(hesai), T0 + 2 * STEP + STEP // 2
+    for _, _, stamp, value in messages:
+        for t in value.get("transforms", []):
+            if t["header"]["frame_id"] == "map" and stamp > jump:
+                t["transform"]["position"]["x"] += 0.6
+    bags.write_mcap(WORK / "jump.mcap", messages)
+    _, head, notes = convert(WORK / "jump.mcap")
+    expect([f["number"] for f in head["frames"]] == [k for k in range(N) if k != 2], "the torn sweep is left out")
+    expect(names(notes, "jump once, by 0.60 m at 0.26 s ... dataset.poses_from"), f"a note about the jump: {notes}")
+    check("poses without a jump", WORK / "jump.mcap", "dataset.poses_from=odom", poses_there=False)
+    expect("jump once" not in run("info", WORK / "jump.mcap", "--set", "dataset.poses_from=odom"), "odom does not jump")
+
+
 def test_livox():
     """A Livox has line numbers, but the points of a line do not share an elevation."""
     rng, messages = np.random.default_rng(1), poses("tf")
@@ -310,4 +325,4 @@ def test_livox():
         expect(not head["lidars"][0]["spins"], f"{name}: it spins")
 
 
-run_tests(test_mcap, test_db3, test_ros1, test_ends, test_two, test_poses, test_livox, programs=("lz4", "zstd"))
+run_tests(test_mcap, test_db3, test_ros1, test_ends, test_two, test_poses, test_jump, test_livox, programs=("lz4", "zstd"))

@@ -10,6 +10,7 @@
 #include <thread>
 #include <vector>
 
+#include <relidar/diff/rays.h>
 #include <relidar/base/process_group.hpp>
 #include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
@@ -189,10 +190,47 @@ TEST(PrepareLog, SaysWhichMotionTheScansDoNotShow) {
     }
 }
 
+TEST(PrepareLog, TheBodyThatCarriesTheLidarTrainsNothing) {
+    Log log = make_street_log({.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false});
+    const auto is_on_carrier = [](const glm::vec3& d) { return d.x < -0.9f && std::abs(d.z) < 0.2f; };
+    for (Frame& frame : log.frames)
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
+            if (is_on_carrier(frame.scan.rays.direction[ray])) frame.scan.range_m[ray] = 0.5f;
+    relidar::Run run;
+    run.config.train.refine_poses = "none";
+    run.split = split_frames(log, 4);
+    const Frame held_out = log.frames[std::size_t(run.split.test[0])];
+    std::string report;
+    prepare_log(log, run.split, run.config, {[&](const std::string& line) { report += line; }, {}, {}});
+    EXPECT_THAT(report, test::Names("% of the returns are on the body ... 0.5 m"));
+    EXPECT_EQ(log.frames[std::size_t(run.split.test[0])].scan.range_m, held_out.scan.range_m);
+    run.sequence = std::move(log);
+    const Frame& trained = run.sequence.frames[std::size_t(run.split.train[0])];
+    // Scans that are read again later still have the returns of the body.
+    for (const Frame& frame : {trained, held_out}) {
+        const TrainingRays rays = make_training_rays(run, frame);
+        for (std::size_t ray = 0; ray < rays.targets.size(); ++ray) {
+            if (is_on_carrier(frame.scan.rays.direction[ray])) ASSERT_EQ(rays.targets[ray].weight, 0.0f);
+            else if (frame.scan.range_m[ray] > 0.0f) ASSERT_EQ(rays.targets[ray].weight, 1.0f);
+        }
+    }
+    // The rays to the body have not observed the space behind it, although rays above and
+    // below it have returns from there.
+    const PoseTrack& track = run.sequence.world_from_vehicle;
+    const Pose& first = track.pose.front();
+    const auto observed_behind = [&] {
+        const ObservedVoxelSet seen = observe_coverage(run.sequence, track, run.split.train, 80.0);
+        return seen.observed_fraction(first * glm::dvec3(-7, 0, 0), first * glm::dvec3(-8.5, 0, 0));
+    };
+    EXPECT_LT(observed_behind(), 0.1);
+    run.sequence.lidars[0].own_body = {};
+    EXPECT_GT(observed_behind(), 0.9);
+}
+
 class PlaceHeldOut : public test::DeviceTest {};
 
 Run train_small_run(Device& device) {
-    Run run;
+    relidar::Run run;
     run.sequence =
         make_street_log({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
     run.split = split_frames(run.sequence, 4);

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include <relidar/base/math.hpp>
+#include <relidar/log/body_table.hpp>
 
 namespace relidar {
 
@@ -18,12 +19,16 @@ struct VehicleBox {
     glm::dvec3 size_m{0.0};
 };
 
-/// The boxes that block the rays of a sensor.
+/// What blocks the rays of a sensor: boxes, and the body that a LiDAR has seen.
 struct VehicleBody {
     std::vector<VehicleBox> boxes;  ///< in the frame of the sensor
-    /// True: points on the body are kept, with the class `ego`. False: rays that hit the
-    /// body are dropped.
+    /// True: points in the boxes are kept, with the class `ego`. False: rays that hit a
+    /// box are dropped.
     bool keeps_points = false;
+    BodyTable seen = {};
+    glm::dquat seen_from_sensor{1.0, 0.0, 0.0, 0.0};  ///< rotates directions to the frame of `seen`
+
+    bool empty() const { return boxes.empty() && seen.empty(); }
 };
 
 /// The vehicle of a rig. Its frame base_link is the middle of the rear axle on the
@@ -32,6 +37,7 @@ struct OwnVehicle {
     Pose rig_from_base_link = {};
     std::vector<VehicleBox> boxes = {};  ///< in the frame base_link
     bool keeps_points = false;           ///< as in VehicleBody
+    bool is_of_log = false;              ///< the body that the log's LiDAR sees; without boxes
     std::string json = {};               ///< text of the rig's file
 };
 

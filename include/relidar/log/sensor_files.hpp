@@ -74,6 +74,8 @@ struct MountedSensor {
 /// @throws errors of find_sensor()
 std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& path);
 
+inline constexpr const char* kVehicleOfLog = "log";
+
 /// Reads the own vehicle of a rig. Returns nothing if the file is not a rig or its rig
 /// has no vehicle.
 ///   "vehicle": {"length_m": 4.5, "width_m": 1.8, "height_m": 1.5,
@@ -83,6 +85,7 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
 /// "base_link_m" is the position of base_link in the frame of the rig: the middle of the
 /// rear axle on the ground. Boxes are in the frame base_link. Without "boxes", the body
 /// is one box from the ground to the height. "points" is "drop" (default) or "ego".
+/// "vehicle": "log" (kVehicleOfLog) is the body that the log's LiDAR sees, without boxes.
 /// @throws DataError naming the key that is wrong
 std::optional<OwnVehicle> read_rig_vehicle(const std::string& path);
 

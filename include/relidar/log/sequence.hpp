@@ -10,6 +10,7 @@
 #include <vector>
 
 #include <relidar/base/math.hpp>
+#include <relidar/log/body_table.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/georeference.hpp>
 #include <relidar/log/sensor.hpp>
@@ -139,6 +140,7 @@ struct Lidar {
     /// Nominal scan pattern of a LiDAR that does not spin. Empty otherwise or if unknown.
     std::optional<SensorPattern> pattern = {};
     RangeNoiseTable range_noise = {};  ///< range noise; empty unless it was measured
+    BodyTable own_body = {};           ///< what carries the LiDAR; empty unless prepare_log() found it
 
     /// Returns the duration of a sweep, or 0 if it is unknown.
     double sweep_period_s() const { return pattern ? scan_period_s(*pattern) : sensor.period_s; }

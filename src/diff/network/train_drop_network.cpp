@@ -24,7 +24,8 @@ constexpr double kLastRate = 0.01;         // final learning rate relative to th
 constexpr std::uint32_t kKeysOfStep = 64;  // number of dropout keys per step, one for each layer
 
 /// Checks that all images have the same size and known drops, and that at least one ray
-/// was dropped. Otherwise the network could only learn that no ray is dropped.
+/// was dropped. Otherwise the network could only learn that no ray is dropped, as in a
+/// closed room.
 void check_images(const RayDropNetwork& network, const std::vector<RayDropImage>& images) {
     if (images.empty()) throw DataError("cannot train the ray-drop network: there are no training images");
     double drops = 0.0;
@@ -45,8 +46,8 @@ void check_images(const RayDropNetwork& network, const std::vector<RayDropImage>
     }
     if (drops == 0.0)
         throw DataError(
-            "cannot train the ray-drop network: no training frame has a dropped ray, because the log "
-            "probably contains only points and no rays without return; use --set refine.enabled=false");
+            "the run has no ray-drop network, because every ray of the training frames returns; nothing is "
+            "missing, unless the log contains only points and leaves out rays without return");
 }
 
 /// Returns a network with random weights and the normalisation of the training images.

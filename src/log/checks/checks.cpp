@@ -224,6 +224,7 @@ constexpr Check kChecks[] = {
      "the scale of the intensities is probably wrong: the largest intensity is {:.2g} of the maximum"},
     {"saturated", test_saturated,
      "the scale of the intensities is probably wrong: {:.0f} % of the returns have the maximum intensity"},
+    {"own_body", test_own_body, "{}"},
     {"box_convention", test_box_convention, "the boxes are probably wrong: {}"},
 };
 

@@ -4,9 +4,11 @@
 #include <array>
 #include <cmath>
 #include <complex>
+#include <numeric>
 #include <set>
 
 #include <relidar/base/float_step.hpp>
+#include <relidar/log/own_body.hpp>
 
 #include "base/median.hpp"
 #include "log/checks/checks.hpp"
@@ -272,6 +274,14 @@ void test_rotation(const CheckedLog& log, const FaultReport& report) {
         if (!lidar.sensor.clockwise) std::swap(nominal, measured);
         if (n_scans > 0 && is_opposite) report.add_for(int(l), measured, nominal);
     }
+}
+
+void test_own_body(const CheckedLog& log, const FaultReport& report) {
+    std::vector<int> frames(log.sequence.frames.size());
+    std::iota(frames.begin(), frames.end(), 0);
+    for (int l = 0; l < std::ssize(log.sequence.lidars) && log.sequence.has_poses; ++l)
+        if (const OwnBody body = find_own_body(log.sequence, l, frames); !body.table.empty())
+            report.add_for(l, body.describe());
 }
 
 void test_box_convention(const CheckedLog& log, const FaultReport& report) {

@@ -196,6 +196,7 @@ ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
     const std::size_t column_step = choose_column_step(sequence.lidar_of(frame).sensor, rows, max_range_m);
+    const BodyTable& own_body = sequence.lidar_of(frame).own_body;
     // Of the current column, from the highest beam to the lowest.
     std::vector<double> range_m(rows);
     std::vector<RaySegment> segments(rows);
@@ -205,10 +206,13 @@ ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_
         const std::vector<double> length_m = observed_lengths_m(range_m, max_range_m);
         for (std::size_t row = 0; row < rows; ++row) {
             RaySegment& segment = segments[row];
-            segment.length_m = length_m[row];
-            if (!(length_m[row] > 0.0)) continue;
-            segment.ray = make_world_ray(world_from_sensor, frame.time_s, scan.rays, row * columns + column,
-                                         sequence.rolling_shutter);
+            const std::size_t ray = row * columns + column;
+            // A dropped ray does not see past the body that carries the LiDAR.
+            const bool is_hidden = own_body.hides(scan.rays.direction[ray], scan.range_m[ray]);
+            segment.length_m = is_hidden ? 0.0 : length_m[row];
+            if (!(segment.length_m > 0.0)) continue;
+            segment.ray =
+                make_world_ray(world_from_sensor, frame.time_s, scan.rays, ray, sequence.rolling_shutter);
             observed.add_segment(segment.ray.origin_m,
                                  segment.ray.origin_m + length_m[row] * segment.ray.direction);
             if (row > 0 && segments[row - 1].length_m > 0.0)

@@ -129,6 +129,7 @@ std::optional<OwnVehicle> read_rig_vehicle(const std::string& path) {
     const Json json = read_rig_json(path);
     const JsonField root(json, path, "");
     if (!root.has_member("vehicle")) return {};
+    if (json.at("vehicle") == kVehicleOfLog) return OwnVehicle{.is_of_log = true};
     return parse_vehicle(json.at("vehicle"), root.at("vehicle"));
 }
 

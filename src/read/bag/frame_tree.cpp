@@ -12,6 +12,9 @@ namespace {
 // sample. It is about the duration of one sweep.
 constexpr double kMaxExtrapolation_s = 0.1;
 constexpr std::size_t kMaxDepth = 64;  // maximum depth of the tree
+// A step of a pose is a jump if it is longer than both: noise of good poses, and what
+// three times the acceleration of gravity can cause.
+constexpr double kMinJump_m = 0.1, kMaxAcceleration = 30.0;
 
 /// Returns true if two poses differ only by rounding errors.
 bool are_poses_equal(const Pose& first, const Pose& second) {
@@ -52,6 +55,25 @@ bool TransformChain::covers_time(double t_s) const {
         return link.pose.size() == 1 || (t_s >= link.time_s.front() - kMaxExtrapolation_s &&
                                          t_s <= link.time_s.back() + kMaxExtrapolation_s);
     });
+}
+
+std::vector<PoseJump> TransformChain::find_jumps() const {
+    std::vector<PoseJump> jumps;
+    for (const auto& [time_s, pose] : links_) {
+        const auto velocity_mps = [&](std::size_t k) {  // from sample k - 1 to sample k
+            return (pose[k].translation - pose[k - 1].translation) / (time_s[k] - time_s[k - 1]);
+        };
+        for (std::size_t k = 2; k + 1 < pose.size(); ++k) {
+            const double step_s = time_s[k] - time_s[k - 1];
+            // Only the more similar neighbour counts, because the other may be the jump.
+            const double distance_m = step_s * std::min(glm::distance(velocity_mps(k), velocity_mps(k - 1)),
+                                                        glm::distance(velocity_mps(k), velocity_mps(k + 1)));
+            if (distance_m > kMinJump_m && distance_m > kMaxAcceleration * step_s * step_s)
+                jumps.push_back({time_s[k - 1], time_s[k], distance_m});
+        }
+    }
+    std::ranges::sort(jumps, {}, &PoseJump::first_s);
+    return jumps;
 }
 
 void FrameTree::add_transform(const TransformMessage& transform, std::int64_t log_ns, bool is_static) {

@@ -28,6 +28,8 @@ constexpr double kMinStep_s = 2e-3;  // minimum time between sweeps
 // The unit is the sweep period of the main LiDAR.
 constexpr double kMaxSweepOffset = 0.6;
 
+constexpr const char* kOtherPoses = "select smooth poses with dataset.poses_from, for example the frame odom";
+
 /// Selects topics of a recording and loads them as a log.
 class BagLogLoader {
 public:
@@ -70,6 +72,7 @@ public:
         read::read_scans(sequence_, layout, BagScans(bag_, lidars_, frames_, poses_.clock, deskewed_by),
                          options);
         if (!has_poses_) return std::move(sequence_);
+        leave_out_torn();
         const auto vehicle_pose_in_log_world = [&](double t_s) -> std::optional<Pose> {
             if (!poses_.path->covers_time(t_s)) return std::nullopt;
             Pose pose = vehicle_pose(t_s);
@@ -249,6 +252,42 @@ private:
         if (n_unplaced > 0)
             add_note(
                 fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
+    }
+
+    /// Removes the sweeps during which the poses jump, because their rays do not fit
+    /// together.
+    void leave_out_torn() {
+        const std::vector<PoseJump> jumps = poses_.path->find_jumps();
+        if (jumps.empty()) return;
+        // Times of the first and the last ray of each LiDAR's sweeps. `info` reads only
+        // some scans.
+        std::vector<std::pair<float, float>> span_s(sequence_.lidars.size());
+        for (const Frame& frame : sequence_.frames)
+            if (const auto& offsets_s = frame.scan.rays.time_offset_s; !offsets_s.empty()) {
+                const auto [first, last] = std::ranges::minmax(offsets_s);
+                span_s[std::size_t(frame.lidar)] = {first, last};
+            }
+        const std::size_t n_removed = std::erase_if(sequence_.frames, [&](const Frame& frame) {
+            const auto [first, last] = span_s[std::size_t(frame.lidar)];
+            return std::ranges::any_of(jumps, [&](const PoseJump& jump) {
+                return jump.last_s >= frame.time_s + first && jump.first_s <= frame.time_s + last;
+            });
+        });
+        if (sequence_.frames.empty())
+            fail("{}: the poses jump in every sweep; {}", sequence_.source, kOtherPoses);
+        PoseTrack track;  // has poses only at the times of frames
+        for (std::size_t k = 0; k < sequence_.world_from_vehicle.pose.size(); ++k) {
+            const double time_s = sequence_.world_from_vehicle.time_s[k];
+            if (std::ranges::find(sequence_.frames, time_s, &Frame::time_s) != sequence_.frames.end())
+                track.append(time_s, sequence_.world_from_vehicle.pose[k]);
+        }
+        sequence_.world_from_vehicle = std::move(track);
+        const PoseJump& largest = *std::ranges::max_element(jumps, {}, &PoseJump::distance_m);
+        add_note(fmt::format(
+            "the poses jump {} by {:.2f} m at {:.2f} s, as after a loop closure; {} sweeps during a jump are "
+            "left out; surfaces do not fit together before and after it; {}",
+            jumps.size() == 1 ? "once," : fmt::format("{} times, most", jumps.size()), largest.distance_m,
+            largest.last_s, n_removed, kOtherPoses));
     }
 
     /// Estimates the units of the points of each LiDAR. Clouds that are parts of a

@@ -36,6 +36,12 @@ struct StampedPose : MessageTimes {
     Pose pose;
 };
 
+/// A step between two samples of a pose that no vehicle can make.
+struct PoseJump {
+    double first_s, last_s;
+    double distance_m;  ///< beyond the usual step
+};
+
 /// Pose of a frame in one of its ancestor frames as a function of time: the product of
 /// all transforms in between.
 class TransformChain {
@@ -49,6 +55,9 @@ public:
     /// Returns true if every transform is known at `t_s`: a moving one from 0.1 s before
     /// its first sample to 0.1 s after its last.
     bool covers_time(double t_s) const;
+    /// Returns the times between which a moving transform jumps: its position changes
+    /// much more than before and after, as when a program for maps closes a loop.
+    std::vector<PoseJump> find_jumps() const;
 
 private:
     /// From the ancestor down to the child. A constant transform has a single sample.

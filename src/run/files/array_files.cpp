@@ -14,7 +14,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char *kCoverageFormat = "relidar coverage", *kClassesFormat = "relidar classes",
-                     *kSweepsFormat = "relidar sweeps", *kScatterFormat = "relidar intensity scatter";
+                     *kSweepsFormat = "relidar sweeps", *kScatterFormat = "relidar intensity scatter",
+                     *kBodiesFormat = "relidar own bodies";
 constexpr const char* kCellSizeKey = "cell_m";
 
 /// Writes arrays to a file, or removes the file of an earlier save if all are empty.
@@ -143,6 +144,36 @@ void load_azimuths(const fs::path& path, Log& sequence) {
         for (const float shift : frame.azimuth_shift_rad)
             if (!(std::abs(shift) <= float(kPi)))
                 fail("{}: array {}: found {}, expected radians from -pi to pi", file.path, array.name, shift);
+    }
+}
+
+void save_bodies(const fs::path& path, const std::vector<Lidar>& lidars) {
+    std::vector<NamedArray> arrays;
+    for (std::size_t i = 0; i < lidars.size(); ++i) {
+        arrays.push_back(make_vector_array(fmt::format("{}.range_m", i), lidars[i].own_body.range_m));
+        arrays.push_back(make_vector_array(fmt::format("{}.intensity", i), lidars[i].own_body.intensity));
+    }
+    write_unless_empty(path, arrays, kBodiesFormat);
+}
+
+void load_bodies(const fs::path& path, std::vector<Lidar>& lidars) {
+    const ArrayFile file(path, kBodiesFormat);
+    for (std::size_t i = 0; i < lidars.size(); ++i) {
+        const auto read = [&](const char* member, double min, double max) {
+            const std::string name = fmt::format("{}.{}", i, member);
+            const std::vector<double> values = file.find_numbers(name, "f4");
+            const bool is_table = values.empty() || values.size() == BodyTable::kCells;
+            const auto is_valid = [&](double value) { return value >= min && value <= max; };
+            if (!is_table || !std::ranges::all_of(values, is_valid))
+                fail("{}: array {}: expected {} numbers from {} to {}", file.path, name, BodyTable::kCells,
+                     min, max);
+            return std::vector<float>(values.begin(), values.end());
+        };
+        BodyTable& body = lidars[i].own_body;
+        body = {read("range_m", 0.0, 1e3), read("intensity", double(BodyTable::kNoReturn), 1.0)};
+        if (body.range_m.size() != body.intensity.size())
+            fail("{}: LiDAR {}: found {} ranges and {} intensities, expected equal numbers", file.path, i,
+                 body.range_m.size(), body.intensity.size());
     }
 }
 

@@ -26,7 +26,7 @@ namespace fs = std::filesystem;
 constexpr const char *kConfigFile = "config.toml", *kSceneFile = "scene.json",
                      *kDropNetworkFile = "drop_network.safetensors", *kSweepsFile = "sweeps.safetensors",
                      *kCoverageFile = "coverage.safetensors", *kClassesFile = "classes.safetensors",
-                     *kScatterFile = "intensity_scatter.safetensors";
+                     *kScatterFile = "intensity_scatter.safetensors", *kBodiesFile = "own_body.safetensors";
 
 void create_folder(const fs::path& folder) {
     std::error_code failed;
@@ -101,6 +101,7 @@ void write_run_files(const Run& run, const fs::path& folder, bool keep_block_fil
     save_scene(run, folder, keep_block_files);
     if (!run.drop_network.empty()) save_drop_network(folder / kDropNetworkFile, run.drop_network);
     files::save_azimuths(folder / kSweepsFile, run.sequence);
+    files::save_bodies(folder / kBodiesFile, run.sequence.lidars);
     files::save_coverage(folder / kCoverageFile, run.coverage);
     files::save_class_map(folder / kClassesFile, run.classes);
     files::save_scatter(folder / kScatterFile, run.intensity_scatter);
@@ -160,7 +161,8 @@ void move_files(const fs::path& staging, const fs::path& folder, const std::func
     fs::remove(folder / kSceneFile);
     if (remove_old) remove_old();
     // Optional files of an earlier save that the new run does not have.
-    for (const char* name : {kDropNetworkFile, kSweepsFile, kCoverageFile, kClassesFile, kScatterFile})
+    for (const char* name :
+         {kDropNetworkFile, kSweepsFile, kBodiesFile, kCoverageFile, kClassesFile, kScatterFile})
         if (!does_path_exist(staging / name)) fs::remove(folder / name);
     std::vector<fs::path> files;  // listed before the moves change the folder
     for (const auto& entry : fs::recursive_directory_iterator(staging))
@@ -212,6 +214,7 @@ namespace {
 void load_optional_files(Run& run) {
     const auto is_present = [&](const char* name) { return does_path_exist(run.folder / name); };
     if (is_present(kSweepsFile)) files::load_azimuths(run.folder / kSweepsFile, run.sequence);
+    if (is_present(kBodiesFile)) files::load_bodies(run.folder / kBodiesFile, run.sequence.lidars);
     if (is_present(kCoverageFile)) run.coverage = files::load_coverage(run.folder / kCoverageFile);
     if (is_present(kClassesFile)) run.classes = files::load_class_map(run.folder / kClassesFile);
     if (is_present(kScatterFile))

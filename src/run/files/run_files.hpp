@@ -35,6 +35,11 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
 void save_azimuths(const std::filesystem::path& path, const Log& sequence);
 void load_azimuths(const std::filesystem::path& path, Log& sequence);
 
+/// own_body.safetensors has Lidar::own_body: `0.range_m` and `0.intensity` [cells] f4 for
+/// LiDAR 0, empty without a body.
+void save_bodies(const std::filesystem::path& path, const std::vector<Lidar>& lidars);
+void load_bodies(const std::filesystem::path& path, std::vector<Lidar>& lidars);
+
 /// Writes coverage.safetensors, unless the coverage is empty. `place` [blocks,3] i4 is
 /// the position of each block of 8 x 8 x 8 voxels, in blocks. `cells` [blocks,32] u2 has
 /// one bit per voxel.

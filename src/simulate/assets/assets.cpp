@@ -216,6 +216,7 @@ ActorAsset extract_asset(const Run& run, const std::string& track, const ActorOb
     alone.scene.models[0].first = 0;
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};
+    for (Lidar& lidar : alone.sequence.lidars) lidar.own_body = {};
     asset.run.config = run.config;
     asset.run.sequence = log_of_actor(alone.sequence, named);
     for (int i = 0; i < int(asset.run.sequence.frames.size()); ++i) asset.run.split.train.push_back(i);

@@ -71,7 +71,7 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
     // Other steps need the host.
     plan.points_on_device = !sampled && settings.weather.is_clear() && settings.channels.empty() &&
                             !sensor.grid && !plan.has_sub_rays() && sensor.rays.size() > 0 &&
-                            sensor.body.boxes.empty();
+                            sensor.body.empty();
     return plan;
 }
 

@@ -43,7 +43,8 @@ SimulatedSensor make_log_sensor(const Config& config, const Log& log, int lidar)
             .limits = limits,
             .name = sensor.name,
             .lidar = lidar,
-            .rolling_shutter = has_rolling_shutter(config, log)};
+            .rolling_shutter = has_rolling_shutter(config, log),
+            .body = {.seen = log_lidar.own_body}};
 }
 
 /// Returns a sensor for a range grid. With the method "cast", its rays are the pixels of

@@ -81,15 +81,16 @@ RayTable rotate_rays(RayTable rays, float column_fraction) {
 }
 
 /// Returns the state of each cell of the range image: 0 returned, 1 dropped, -1 unknown
-/// because it has a return that the network must not learn, from a moving object.
-/// @param drops  [rays] from classify_drops(); -1 for such a return
+/// because it has a ray that the network must not learn, for example to a moving object.
+/// @param drops  [rays] from classify_drops(); -1 for such a ray
 std::vector<float> drops_to_grid(const Config& config, const Frame& frame, const std::vector<float>& drops) {
     std::vector<float> cells = measured_image(config, frame.scan).drop_prob;
     const RangeImageGrid grid = find_grid(config.sensor.grid);
     for (std::size_t ray = 0; ray < drops.size(); ++ray) {
         const bool is_learned = drops[ray] >= 0.0f, has_return = frame.scan.range_m[ray] > 0.0f;
-        if (is_learned || !has_return) continue;
-        const std::optional<int> cell = project_to_pixel(grid, glm::dvec3(frame.scan.return_point(ray)));
+        if (is_learned) continue;
+        const glm::vec3 point_m = has_return ? frame.scan.return_point(ray) : frame.scan.rays.direction[ray];
+        const std::optional<int> cell = project_to_pixel(grid, glm::dvec3(point_m));
         if (cell) cells[std::size_t(*cell)] = -1.0f;
     }
     return cells;

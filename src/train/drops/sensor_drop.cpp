@@ -67,7 +67,8 @@ std::size_t RayDropCounts::bin_index(int channel, int bin) const {
 
 void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
     const auto beam = sequence_.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]);
-    if (!beam) return;
+    const BodyTable& own_body = sequence_.lidar_of(frame).own_body;
+    if (!beam || own_body.hides(frame.scan.rays.direction[ray], frame.scan.range_m[ray])) return;
     const std::size_t bin = index_.index_of(*beam, frame.scan.rays.direction[ray]);
     const bool has_return = frame.scan.range_m[ray] > 0.0f;
     std::atomic_ref(rays_[bin]).fetch_add(1, std::memory_order_relaxed);

@@ -18,7 +18,8 @@ class RayDropCounts {
 public:
     /// A row of azimuth bins of about three columns for each beam. Refers to the log.
     explicit RayDropCounts(const Log& sequence);
-    /// Several threads may call this simultaneously.
+    /// Ignores rays that may have hit the body that carries the LiDAR. Several threads
+    /// may call this simultaneously.
     void add_ray(const Frame& frame, std::size_t ray);
     /// Returns the drop rate of each bin, for rays that are dropped persistently. Uses
     /// intervals of neighbouring bins with at least 60 rays. A bin gets the highest rate

@@ -74,6 +74,7 @@ void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMea
     const Scan& scan = frame.scan;
     const std::vector<MovingBoxMask> boxes = list_masked_boxes(sequence, timing_of(frame), mask_rules);
     const PoseTrack track = sequence.lidar_track(frame.lidar);
+    const BodyTable& own_body = sequence.lidar_of(frame).own_body;
     rays.resize(scan.range_m.size());
     targets.resize(scan.range_m.size());
     parallel_blocks(scan.range_m.size(), [&](std::size_t index) {
@@ -82,6 +83,7 @@ void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMea
         rays[index] = {glm::vec3(ray.origin_m), glm::vec3(ray.direction), time_offset_s};
         // A blind ray: its beam is nearly always dropped at this azimuth.
         const bool is_ignored = is_blind_ray(mask_rules.observed_drops, sequence, frame, index) ||
+                                own_body.hides(scan.rays.direction[index], scan.range_m[index]) ||
                                 is_ray_masked(boxes, ray, double(time_offset_s), scan.range_m[index]);
         const SurfaceReturn surface = surface_return(sequence, frame, index);
         targets[index] = {

@@ -281,6 +281,8 @@ TEST(Rigs, TheVehicleBlocksRays) {
         {"centre_m": [2, 0, 1], "size_m": [1, 1, 1]}]})";
     EXPECT_EQ(read_rig_vehicle(rig(size + boxes)).value().boxes.at(0).size_m, glm::dvec3(1, 2, 0.5));
     EXPECT_FALSE(read_rig_vehicle("VLP-16"));
+    EXPECT_TRUE(read_rig_vehicle(rig(R"("log")")).value().is_of_log);
+    EXPECT_TRUE(read_sensor_rig(rig(R"("log")")).value()[0].body.empty());
     for (const auto& [text, parts] : std::vector<std::pair<std::string, const char*>>{
              {"3", "vehicle: ... 3"},
              {size + R"(, "hight_m": 2})", "'hight_m' ... 'height_m'"},

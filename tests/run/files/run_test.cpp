@@ -231,6 +231,24 @@ TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
     EXPECT_TRUE(load_run(run.folder).sequence.frames[1].azimuth_shift_rad.empty());
 }
 
+TEST_F(RunFolder, OwnBodyRoundTripsExactly) {
+    const std::filesystem::path file = run.folder / "own_body.safetensors";
+    EXPECT_FALSE(std::filesystem::exists(file)) << "nothing carries the LiDAR";
+    BodyTable& body = run.sequence.lidars[0].own_body;
+    body = {std::vector<float>(BodyTable::kCells), std::vector<float>(BodyTable::kCells)};
+    body.range_m[1000] = 0.4f;
+    body.intensity[1000] = BodyTable::kNoReturn;
+    save_run(run);
+    const BodyTable read = load_run(run.folder).sequence.lidars[0].own_body;
+    EXPECT_EQ(read.range_m, body.range_m);
+    EXPECT_EQ(read.intensity, body.intensity);
+    const std::vector<float> few(16, 0.5f);
+    const NamedArray intensity = make_array("0.intensity", {16}, few.data(), 16);
+    write_safetensors(file, {make_array("0.range_m", {16}, few.data(), 16), intensity},
+                      {{"format", "relidar own bodies"}, {"version", "1"}});
+    EXPECT_THAT(load_error(), test::Names("own_body.safetensors ... 0.range_m ... 259200"));
+}
+
 TEST_F(RunFolder, CoverageRoundTripsExactly) {
     const std::filesystem::path file = run.folder / "coverage.safetensors";
     EXPECT_FALSE(std::filesystem::exists(file)) << "nothing is known";

@@ -9,6 +9,8 @@
 #include <random>
 
 #include <relidar/log/classes.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/log_body.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
@@ -385,6 +387,50 @@ TEST(OwnVehicle, PointsOnItAreKeptOrDropped) {
     RenderedScan near = make_scan(down);
     block_rays(near, keep, {2.0, 80.0});
     EXPECT_EQ(near.image.drop_prob[0], 1.0f) << "nearer than the sensor can measure";
+}
+
+TEST(OwnVehicle, BlocksWhatTheLogsLidarSawOfIt) {
+    const glm::vec3 down(0.8f, 0.0f, -0.6f), left(0.0f, 0.8f, -0.6f);
+    VehicleBody body;
+    body.seen = {std::vector<float>(BodyTable::kCells), std::vector<float>(BodyTable::kCells)};
+    // The other sensor is turned to the left, so its ray ahead is the log's ray to the
+    // left.
+    body.seen_from_sensor = make_rotation(0.5 * kPi, 0.0, 0.0);
+    body.seen.range_m[BodyTable::cell_of(left)] = 1.2f;
+    for (const float intensity : {0.3f, BodyTable::kNoReturn}) {
+        body.seen.intensity[BodyTable::cell_of(left)] = intensity;
+        const bool is_returned = intensity > 0.0f;
+        RenderedScan scan = make_scan(down);
+        block_rays(scan, body, {0.5, 80.0});
+        for (const std::size_t hit : {0, 3}) {
+            EXPECT_EQ(scan.median_range_m[hit], 1.2f);
+            EXPECT_EQ(scan.image.intensity[hit], is_returned ? 0.3f : 0.0f);
+            EXPECT_EQ(scan.image.drop_prob[hit], is_returned ? 0.0f : 1.0f);
+            EXPECT_EQ(scan.instance[hit], kOwnVehicleInstance);
+        }
+        EXPECT_EQ(scan.median_range_m[1], 30.0f) << "another direction";
+        EXPECT_EQ(scan.median_range_m[2], 0.8f) << "an object in front of the body";
+    }
+}
+
+TEST(OwnVehicle, OfTheLogIsWhereItsLidarHasNoReturns) {
+    relidar::Run run;
+    run.sequence.lidars[0].sensor.beams = {{.elevation_rad = 0.0}, {.elevation_rad = -0.06}};
+    EXPECT_TRUE(find_log_body(run, 0, {}).empty());
+    // All rays of the upper beam behind the sensor are dropped, within 45 degrees.
+    run.scene.sensor_drop = {2, 8, std::vector<float>(16, 0.4f)};
+    EXPECT_TRUE(find_log_body(run, 0, {}).empty());
+    run.scene.sensor_drop.probability[0] = run.scene.sensor_drop.probability[7] = 1.0f;
+    const VehicleBody body = find_log_body(run, 0, {});
+    const auto is_blocked = [&](double azimuth_rad, double elevation_rad) {
+        const glm::dvec3 direction = make_rotation(azimuth_rad, -elevation_rad, 0.0) * glm::dvec3(1, 0, 0);
+        return body.seen.range_m[BodyTable::cell_of(glm::vec3(direction))] > 0.0f;
+    };
+    EXPECT_TRUE(is_blocked(2.6, 0.01));
+    EXPECT_TRUE(is_blocked(-2.6, -0.02)) << "nearer to the upper beam";
+    EXPECT_FALSE(is_blocked(2.6, -0.04)) << "nearer to the lower beam";
+    EXPECT_FALSE(is_blocked(2.6, 0.1)) << "above all beams";
+    EXPECT_FALSE(is_blocked(2.2, 0.01)) << "beside the sector";
 }
 
 }  // namespace

@@ -42,6 +42,7 @@ struct RenderOptions {
     TrajectoryOptions trajectory;
     std::string lidar;
     std::string sensor;
+    std::string vehicle_name;  ///< argument of --vehicle
     std::string formats = "npz";
     std::string layout;  ///< empty: writes the files of `formats`
     std::optional<std::string> channels;
@@ -61,7 +62,7 @@ struct RenderOptions {
     bool overwrite = false;
     bool no_refine = false;
     bool quiet = false;
-    std::optional<OwnVehicle> vehicle = {};         ///< of the rig
+    std::optional<OwnVehicle> vehicle = {};         ///< of the rig; empty for that of the log
     std::optional<double> base_link_height_m = {};  ///< computed from the run
 };
 
@@ -386,6 +387,9 @@ void run_render(const RenderOptions& command_options) {
     options.device = ranks.select_device(options.device);
     const SensorRig rig = read_sensor_rig(options.sensor);
     options.vehicle = read_rig_vehicle(options.sensor);
+    const bool uses_log_vehicle =
+        !options.vehicle_name.empty() || (options.vehicle && options.vehicle->is_of_log);
+    if (options.vehicle && options.vehicle->is_of_log) options.vehicle.reset();
     check_options(options, rig.has_value(), ranks);
     const Pose offset = parse_offset(options.offset);
     std::optional<LockedFolder> folder;
@@ -402,7 +406,8 @@ void run_render(const RenderOptions& command_options) {
     const int lidar = find_lidar(run.sequence, options.lidar);
     const auto sweeps = has_user_path ? sweeps_on_path(run, options, user_path, lidar)
                                       : sweeps_of_frames(run, options, lidar);
-    const std::vector<RenderedSensor> sensors = list_sensors(options.sensor, rig, run, lidar);
+    std::vector<RenderedSensor> sensors = list_sensors(options.sensor, rig, run, lidar);
+    if (uses_log_vehicle) add_log_body(sensors, run, lidar, offset);
     options.map = open_map(run.sequence, options.crs);
     options.time_shift_ns = largest_time_shift_ns(run, sensors, sweeps);
     if (options.vehicle) {
@@ -517,6 +522,12 @@ void add_render(CLI::App& app, ParsedCommand& call) {
     add_option(*command, "--sensor NAME|FILE", options->sensor,
                "another sensor: native (the log's), one of `relidar list sensors`, or the file of a sensor "
                "or rig (see below)");
+    add_option(*command, "--vehicle log", options->vehicle_name,
+               "also block another sensor where the vehicle or person that carried the log's LiDAR blocks "
+               "that LiDAR; for sensors at about the same place")
+        ->check([](const std::string& text) {
+            return text == kVehicleOfLog ? "" : fmt::format("found {}, expected log", text);
+        });
     add_list_option(*command, "--only WHAT", options->only,
                     "render only this part: background, actors, or a track; repeatable");
     add_option(*command, "--sample SEED", options->sample,

@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include <relidar/simulate/log_body.hpp>
 #include "base/fail.hpp"
 #include "console.hpp"
 #include "options.hpp"
@@ -78,6 +79,24 @@ std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRi
                            .mounting = mounted.rig_from_sensor,
                            .spinning = as_spinning(mounted.sensor)});
     return sensors;
+}
+
+void add_log_body(std::vector<RenderedSensor>& sensors, const Run& run, int lidar, const Pose& offset) {
+    constexpr double kSamePlace_m = 0.2;
+    for (RenderedSensor& target : sensors) {
+        if (target.sensor.is_log_lidar) continue;  // its own rays are blocked anyway
+        const Pose lidar_from_sensor = offset * target.mounting;
+        const VehicleBody seen = find_log_body(run, lidar, lidar_from_sensor);
+        target.sensor.body.seen = seen.seen;
+        target.sensor.body.seen_from_sensor = seen.seen_from_sensor;
+        const double distance_m = glm::length(lidar_from_sensor.translation);
+        if (seen.empty()) print_note("vehicle log: nothing blocks the rays of the log's LiDAR");
+        else if (distance_m > kSamePlace_m)
+            print_note(
+                fmt::format("vehicle log: {} is {:.2f} m away from the log's LiDAR, but is blocked in "
+                            "the same directions and at the same distances",
+                            target.sensor.name, distance_m));
+    }
 }
 
 std::string describe_inputs(const std::vector<std::string>& names_or_files) {

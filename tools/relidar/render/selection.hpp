@@ -36,6 +36,11 @@ using SensorRig = std::optional<std::vector<MountedSensor>>;
 std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRig& rig, const Run& run,
                                          int lidar);
 
+/// Lets what blocks the log's LiDAR block the other sensors, too. Prints a note for a
+/// sensor at another place.
+/// @param offset  pose of the rig or the sensor in the frame of the log's LiDAR
+void add_log_body(std::vector<RenderedSensor>& sensors, const Run& run, int lidar, const Pose& offset);
+
 /// Returns the names of sensors and files, and the contents of the files. Another path or
 /// sensor of the same name has another text.
 std::string describe_inputs(const std::vector<std::string>& names_or_files);
