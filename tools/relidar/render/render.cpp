@@ -473,35 +473,6 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
     command.add_flag("--force", options.overwrite, "replace the rendered scans in DIR");
 }
 
-/// Returns the part of the help that describes the files.
-std::string output_help() {
-    return std::string(
-               R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
-they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
-`unseen`: the share of rays that mainly cross space that the log did not observe.
-`unseen_sides`: sides of actors that the log did not observe, so that rays pass through them.
-`completed_sides`: sides of actors that are mirror images of the other side.
-`boxes` (with --boxes): the box of each actor and of each labelled object in the background
-(is_static), at the time at which the sensor faces it, in the dataset's world; the number of first
-returns from it; and its visible share, which is the share of its rays that no other object blocks.
-`note` is "covered" if an actor overlaps a standing object, and "not_observed" if rays pass through.
-)") + make_scan_format_help() +
-           R"(ring: beam, 0 is the highest. time: firing time of the ray, seconds from time_s.
-instance (npz, exr, ply, pcd): surface at the median range, the number in `relidar info RUN`;
-0 background, -1 nothing, -2 the own vehicle.
-)";
-}
-
-std::string channels_help() {
-    std::string text =
-        "Channels of --channels, one value per ray in npz and exr, one per point in ply, pcd, mcap and "
-        "rosbag:\n";
-    for (const ChannelInfo& channel : optional_channels())
-        text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning,
-                            channel.unit.empty() ? "" : " [" + channel.unit + "]");
-    return text;
-}
-
 }  // namespace
 
 /// Adds the command `relidar render` and its options to the parser.
@@ -547,7 +518,7 @@ void add_render(CLI::App& app, ParsedCommand& call) {
     add_device_options(*command, options->device);
     add_no_refine_option(*command, options->no_refine);
     add_quiet_option(*command, options->quiet);
-    command->footer(output_help() + channels_help() + sensor_file_help() +
+    command->footer(render_output_help() + render_channels_help() + sensor_file_help() +
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"

@@ -33,4 +33,8 @@ void note_local_las(const Log& log, const std::vector<std::string>& formats);
 /// @param scan_json_entries entries of scans.json
 void note_unobserved(const std::vector<std::string>& scan_json_entries, const std::string& scan_folder);
 
+/// Returns the parts of the help of `relidar render` that describe files and channels.
+std::string render_output_help();
+std::string render_channels_help();
+
 }  // namespace relidar::cli
