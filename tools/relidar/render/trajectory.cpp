@@ -160,17 +160,4 @@ void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::v
                         n_outside, times_s.size(), begin_s, end_s));
 }
 
-void add_path_options(CLI::App& command, TrajectoryOptions& trajectory) {
-    add_option(command, "--trajectory FILE.csv", trajectory.file,
-               "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the "
-               "dataset's world and the log's time, or with latitude_deg,longitude_deg,height_m in the run's "
-               "georeference; `relidar export RUN --out FILE.csv` writes the path of the log; --offset "
-               "shifts the sensor from the path; rays have the nominal angles of the sensor, unlike those of "
-               "--frames, which repeat a recorded scan");
-    add_option(command, "--rate HZ", trajectory.rate_hz,
-               "scans per second on the trajectory (default: the rate of the log's sensor)");
-    add_option(command, "--times FIRST:LAST:STEP", trajectory.times,
-               "times of the scans on the trajectory, instead of --rate: first, last and step in seconds");
-}
-
 }  // namespace relidar::cli
