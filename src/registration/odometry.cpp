@@ -92,8 +92,15 @@ public:
     const PoseTrack& track() const { return track_; }
     /// sum over all scans of the share of points that lie on planes of the map
     double total_share() const { return share_; }
-    /// motion between the last two added poses
-    Pose last_motion() const { return predict_motion(n_added_ + begin_); }
+    /// Returns the motion between the first two poses, if the vehicle moved like between
+    /// the last two added poses.
+    Pose last_motion() const {
+        const std::vector<double>& t = track_.time_s;
+        const std::size_t last = begin_ + n_added_ - 1;
+        if (n_added_ < 2) return first_motion_.value_or(Pose{});
+        return interpolate(Pose{}, inverse(track_.pose[last - 1]) * track_.pose[last],
+                           (t[begin_ + 1] - t[begin_]) / (t[last] - t[last - 1]));
+    }
 
 private:
     struct PoseCandidate {
@@ -193,8 +200,11 @@ private:
             });
         fraction_on_planes = double(equations.count_on_planes()) / double(scan.size());
         Pose pose = track_.pose[pose_index];
+        // Coarse maps only bring the scan near to its pose. The finest map decides.
+        const bool is_finest = map_level + 1 == PlaneMaps::kLevels;
         const double step_m = equations.move_pose(
-            pose, start_pose, equations.find_unobserved(min_information(options_.use_pose_motion)));
+            pose, start_pose,
+            equations.find_unobserved(min_information(options_.use_pose_motion && is_finest)));
         set_pose(pose_index, pose);
         return step_m;
     }
@@ -218,7 +228,7 @@ Pose find_first_motion(const PoseTrack& initial_track, const SubsampledScans& sc
     double best_step_m = 0.0, best_share = -1.0;
     const auto try_step = [&](double step_m) {
         const double share = track_scans(step_m, kTrialScans).total_share() / kTrialScans;
-        if (share <= best_share + kMinPredictionGain) return;
+        if (share <= best_share) return;
         best_share = share;
         best_step_m = step_m;
     };

@@ -53,7 +53,6 @@ glm::dvec3 fit_weighted_plane(const std::vector<WorldPointWithOrigin>& points,
     const Eigen::Matrix3d& axes = solver.eigenvectors();
     const Eigen::Vector3d& eigenvalues = solver.eigenvalues();
     plane = {.point_m = mean, .normal = column_of(axes, 0), .u = column_of(axes, 1), .v = column_of(axes, 2)};
-    plane.set_tilts(sum, eigenvalues[0], eigenvalues[1], eigenvalues[2]);
     return glm::dvec3(eigenvalues[0], eigenvalues[1], eigenvalues[2]) / sum;
 }
 
@@ -74,17 +73,24 @@ RobustPlane fit_robust_plane(const std::vector<WorldPointWithOrigin>& points,
     for (const std::uint32_t i : point_indices) weight.push_back(points[i].weight);
     RobustPlane fit;
     for (int refit = 0; refit < kPlaneRefits; ++refit) {
-        fit.variance_m2 = fit_weighted_plane(points, point_indices, weight, fit.plane).y;
+        const glm::dvec3 variances_m2 = fit_weighted_plane(points, point_indices, weight, fit.plane);
+        fit.variance_m2 = variances_m2.y;
         fit.n_inliers = fit.weight_sum = 0.0;
+        double n = 0.0, squares_m2 = 0.0;
         for (std::size_t k = 0; k < point_indices.size(); ++k) {
             const WorldPointWithOrigin& point = points[point_indices[k]];
-            const double robust =
-                robust_weight(glm::dot(fit.plane.normal, point.point_m - fit.plane.point_m), scale_m);
+            const double off_m = glm::dot(fit.plane.normal, point.point_m - fit.plane.point_m);
+            const double robust = robust_weight(off_m, scale_m);
+            n += point.weight;
+            squares_m2 += point.weight * std::min(off_m * off_m, scale_m * scale_m);
             weight[k] = point.weight * robust;
             fit.weight_sum += weight[k];
             // At a distance of scale_m from the plane, a point has the weight 1/4.
             if (robust > 0.25) ++fit.n_inliers;
         }
+        // Points of another surface in the cell tilt the plane although their weights are
+        // low, so they count like points at the scale of the kernel.
+        fit.plane.set_tilts(n, squares_m2 / n, variances_m2.y, variances_m2.z);
         if (fit.n_inliers < min_inliers) break;
     }
     return fit;

