@@ -13,7 +13,6 @@
 #include <relidar/run/stage_options.hpp>
 
 #include "base/fail.hpp"
-#include "base/sigmoid.hpp"
 #include "train/iteration_reports.hpp"
 #include "train/poses/register_options.hpp"
 
@@ -412,13 +411,12 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
         for (std::uint32_t batch = 0; batch < n_batches; ++batch)
             count_drops(counts, sequence, frame, batches.gather(stream_, frame, start, batch));
     }
-    RayDropTable drops = counts.excess_rates();
+    RayDropTable drops = counts.smoothed_rates();
     drop_unobserved(drops, frames_.mask_rules().observed_drops, sequence);
     return drops;
 }
 
-/// Renders a batch. Counts rays to solid surfaces, and their drops that the scene
-/// predicts.
+/// Renders a batch. Counts rays for which the scene predicts a return.
 void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
                             const SampledBatch& batch) {
     constexpr float kMinSolidWeight = 0.9f;  // minimum blending weight of a ray that hits a solid surface
@@ -430,10 +428,10 @@ void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const Trainin
         to_ray_values(renderer_.last_batch().rendered->download(batch.rays.n_rays));
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
         const std::size_t ray = batch.frame_ray(j);
-        // Training ignored blind rays, so the scene has not learnt their drops.
-        if (is_blind_ray(observed, log, sweep, ray)) counts.add_ray(sweep, ray);
-        else if (rendered.weight[j] > kMinSolidWeight)
-            counts.add_ray(sweep, ray, float(sigmoid(rendered.drop_logit[j] - rendered.hit_logit[j])));
+        if (!(rendered.hit_logit[j] > rendered.drop_logit[j])) continue;  // the scene predicts a drop
+        // Training ignored blind rays, so the scene may have no solid surface there.
+        if (rendered.weight[j] > kMinSolidWeight || is_blind_ray(observed, log, sweep, ray))
+            counts.add_ray(sweep, ray);
     }
 }
 

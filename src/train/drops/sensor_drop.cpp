@@ -13,11 +13,10 @@ namespace {
 constexpr int kColumnsPerBin = 3;  // image columns per azimuth bin, so that each bin gets enough rays
 constexpr int kNeighbourBins = 2;  // bins on each side over which the local drop rate is averaged
 constexpr std::uint32_t kMinRaysPerRate = 60;  // with fewer, a hole in the scene would look like a blind spot
-// Number of virtual rays that stabilise a drop rate if a bin has few real rays.
+// Number of virtual rays that stabilise a drop rate if a bin has few real rays:
+//   rate of a bin = (drops + kPriorRays * local rate) / (rays + kPriorRays)
+//   local rate    = drops / (rays + kPriorRays), summed over the bin and its neighbours
 constexpr double kPriorRays = 8.0;
-// An excess of drops is significant from this multiple of its standard deviation, to
-// which the square root of kMinVariance drops is added.
-constexpr double kSignificance = 3.0, kMinVariance = 1.0;
 constexpr double kMinSectorShare = 10.0 / 360.0;  // minimum width of a sector / full circle
 constexpr float kMinBlindRate = 0.95f;  // share of dropped rays from which a beam is blind at an azimuth
 
@@ -60,15 +59,13 @@ RayDropCounts::RayDropCounts(const Log& sequence)
     : sequence_(sequence),
       index_{int(sequence.count_beams()), count_azimuth_bins(sequence), {}},
       rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
-      drops_(rays_.size(), 0),
-      scene_drops_(rays_.size(), 0.0f),
-      scene_variance_(rays_.size(), 0.0f) {}
+      drops_(rays_.size(), 0) {}
 
 std::size_t RayDropCounts::bin_index(int channel, int bin) const {
     return wrapped_bin(index_, std::size_t(channel), bin);
 }
 
-void RayDropCounts::add_ray(const Frame& frame, std::size_t ray, float scene_drop) {
+void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
     const auto beam = sequence_.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]);
     const BodyTable& own_body = sequence_.lidar_of(frame).own_body;
     if (!beam || own_body.hides(frame.scan.rays.direction[ray], frame.scan.range_m[ray])) return;
@@ -76,9 +73,6 @@ void RayDropCounts::add_ray(const Frame& frame, std::size_t ray, float scene_dro
     const bool has_return = frame.scan.range_m[ray] > 0.0f;
     std::atomic_ref(rays_[bin]).fetch_add(1, std::memory_order_relaxed);
     if (!has_return) std::atomic_ref(drops_[bin]).fetch_add(1, std::memory_order_relaxed);
-    std::atomic_ref(scene_drops_[bin]).fetch_add(scene_drop, std::memory_order_relaxed);
-    std::atomic_ref(scene_variance_[bin])
-        .fetch_add(scene_drop * (1.0f - scene_drop), std::memory_order_relaxed);
 }
 
 /// Sums the rays of the bins from `first` on, until there are enough for a rate. The bins
@@ -128,27 +122,25 @@ void RayDropCounts::drop_unfired(RayDropTable& drop_table, int channel) const {
         });
 }
 
-/// Returns the rate of a bin and its neighbours together, or 0 if it is not significant.
-/// kPriorRays returned rays are added, so that the rate is low if the bins have few rays.
+/// Returns the drop rate of a bin and its neighbours together. Adds kPriorRays returned
+/// rays, so that the rate is low if the bins have few rays.
 double RayDropCounts::local_rate(int channel, int bin) const {
-    double returns = kPriorRays, more_drops = 0.0, variance = kMinVariance;
+    double rays = kPriorRays, drops = 0.0;
     for (int b = bin - kNeighbourBins; b <= bin + kNeighbourBins; ++b) {
         const std::size_t i = bin_index(channel, b);
-        returns += scene_returns(i);
-        more_drops += excess(i);
-        variance += double(scene_variance_[i]);
+        rays += double(rays_[i]);
+        drops += double(drops_[i]);
     }
-    return more_drops > kSignificance * std::sqrt(variance) ? more_drops / returns : 0.0;
+    return drops / rays;
 }
 
-RayDropTable RayDropCounts::excess_rates() const {
+RayDropTable RayDropCounts::smoothed_rates() const {
     RayDropTable table = index_;
     for (int channel = 0; channel < index_.channels; ++channel)
         for (int bin = 0; bin < index_.bins; ++bin) {
             const std::size_t i = bin_index(channel, bin);
-            const double rate = local_rate(channel, bin),
-                         p = (excess(i) + kPriorRays * rate) / (scene_returns(i) + kPriorRays);
-            table.probability.push_back(rate > 0.0 ? static_cast<float>(std::clamp(p, 0.0, 1.0)) : 0.0f);
+            const double drops = double(drops_[i]) + kPriorRays * local_rate(channel, bin);
+            table.probability.push_back(static_cast<float>(drops / (double(rays_[i]) + kPriorRays)));
         }
     return table;
 }
