@@ -206,10 +206,14 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
         equations.add_zero_prior(k, prior_.pull, block_of(corrections, k));
         if (k + 1 == track_.pose.size()) break;
         const glm::dvec3 offset_m = track_.pose[k + 1].translation - track_.pose[k].translation;
-        // The twist of the earlier pose is that of the later pose, seen from its place.
-        const Matrix6 carry_back = twist_transfer(-offset_m);
-        Matrix6 weights = hold_stiffness(unobserved[k + 1]) +
-                          carry_back.transpose() * hold_stiffness(unobserved[k]) * carry_back;
+        // The earlier pose holds an unobserved pose. The later pose does not, because the
+        // unobserved pose would else tie its neighbours to each other.
+        Matrix6 weights = hold_stiffness(unobserved[k + 1]);
+        if (k == 0) {  // The first pose has no earlier pose.
+            // Its twist is that of the next pose, seen from its own place.
+            const Matrix6 carry_back = twist_transfer(-offset_m);
+            weights += carry_back.transpose() * hold_stiffness(unobserved[k]) * carry_back;
+        }
         weights.diagonal() += kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]) * prior_.link;
         const Pose expected = track_.pose[k] * inverse(reference_.pose[k]) * reference_.pose[k + 1];
         equations.add_motion_prior(k, weights, offset_m,

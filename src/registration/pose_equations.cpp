@@ -226,8 +226,13 @@ std::vector<std::vector<UnobservedMotion>> PoseEquations::find_unobserved(double
         information[coupling.pose] -= c * c.transpose();
     }
     std::vector<std::vector<UnobservedMotion>> motions(information.size());
+    // A scan that hardly meets planes, such as garbage, is lost. It must not hold others.
+    double mean = 0.0;
+    for (const Matrix6& block : diagonal_)
+        mean += block.topLeftCorner<3, 3>().trace() / double(diagonal_.size());
     for (std::size_t k = 0; k < information.size(); ++k)
-        motions[k] = relidar::find_unobserved(information[k], noise_[k], min_information);
+        if (diagonal_[k].topLeftCorner<3, 3>().trace() > 0.5 * mean)
+            motions[k] = relidar::find_unobserved(information[k], noise_[k], min_information);
     return motions;
 }
 

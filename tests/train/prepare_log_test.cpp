@@ -160,9 +160,9 @@ TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
         return at == std::string::npos ? std::string() : report_text.substr(at);
     };
     EXPECT_EQ(warning_of(good), "");
-    Log bad = good;  // moves every second pose ahead by a metre
-    for (std::size_t k = 0; k < bad.world_from_vehicle.pose.size(); k += 2)
-        bad.world_from_vehicle.pose[k].translation.x += 1.0;
+    Log bad = good;  // drifts sideways, which the walls of the street show
+    for (std::size_t k = 0; k < bad.world_from_vehicle.pose.size(); ++k)
+        bad.world_from_vehicle.pose[k].translation.y += std::sin(2.0 * kPi * double(k) / 40.0);
     const std::string warning = warning_of(bad);
     EXPECT_THAT(warning, test::Names("poses"));
     EXPECT_THAT(warning, test::Names("w order"));
