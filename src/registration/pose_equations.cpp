@@ -231,7 +231,7 @@ std::vector<std::vector<UnobservedMotion>> PoseEquations::find_unobserved(double
     for (const Matrix6& block : diagonal_)
         mean += block.topLeftCorner<3, 3>().trace() / double(diagonal_.size());
     for (std::size_t k = 0; k < information.size(); ++k)
-        if (diagonal_[k].topLeftCorner<3, 3>().trace() > 0.5 * mean)
+        if (diagonal_[k].topLeftCorner<3, 3>().trace() > 0.2 * mean)
             motions[k] = relidar::find_unobserved(information[k], noise_[k], min_information);
     return motions;
 }
