@@ -199,8 +199,15 @@ FitRound PoseAdjustment::run_round(FitRound round, PoseEquations equations) {
 /// time between the poses is, and strongly in a direction that the points do not show.
 void PoseAdjustment::add_prior(PoseEquations& equations) const {
     constexpr double kLinkTime_s = 0.1;  // time between poses to which prior_.link refers
-    const std::vector<std::vector<UnobservedMotion>> unobserved =
+    std::vector<std::vector<UnobservedMotion>> unobserved =
         equations.find_unobserved(min_information(prior_.has_given_poses));
+    // A scan off the planes shows nothing about its pose. It must not hold this pose, which
+    // points of the earlier scan determine, too.
+    std::vector<std::size_t> n_points(track_.pose.size(), 0);
+    for (const SubsampledPoint& point : points_) ++n_points[point.pose];
+    for (std::size_t k = 0; k < n_points.size(); ++k)
+        if (double(equations.count_on_planes(k)) < kMinShareOnPlanes * double(n_points[k]))
+            unobserved[k].clear();
     const Eigen::VectorXd corrections = stack_twists(start_, track_);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         equations.add_zero_prior(k, prior_.pull, block_of(corrections, k));

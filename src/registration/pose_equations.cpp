@@ -123,6 +123,7 @@ PoseEquations::PoseEquations(std::size_t n_poses)
     : diagonal_(n_poses, Matrix6::Zero()),
       off_diagonal_(n_poses, Matrix6::Zero()),
       noise_(n_poses, Matrix6::Zero()),
+      n_on_planes_(n_poses, 0),
       gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
 void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual) {
@@ -141,6 +142,7 @@ void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual&
     off_diagonal_[before.first] += before.second * after.second * w_j_jt;
     cost_ += plane_residual.weight * plane_residual.residual_m * plane_residual.residual_m;
     weight_ += plane_residual.weight;
+    n_on_planes_[point.pose] += plane_residual.is_on_plane();
 }
 
 void PoseEquations::add_cell(const std::vector<SubsampledPoint>& points,
@@ -192,6 +194,7 @@ void PoseEquations::add_equations(PoseEquations&& other) {
         diagonal_[k] += other.diagonal_[k];
         off_diagonal_[k] += other.off_diagonal_[k];
         noise_[k] += other.noise_[k];
+        n_on_planes_[k] += other.n_on_planes_[k];
     }
     gradient_ += other.gradient_;
     // `plane_end_` refers to `couplings_`, where those of the other planes follow.
@@ -226,13 +229,8 @@ std::vector<std::vector<UnobservedMotion>> PoseEquations::find_unobserved(double
         information[coupling.pose] -= c * c.transpose();
     }
     std::vector<std::vector<UnobservedMotion>> motions(information.size());
-    // A scan that hardly meets planes, such as garbage, is lost. It must not hold others.
-    double mean = 0.0;
-    for (const Matrix6& block : diagonal_)
-        mean += block.topLeftCorner<3, 3>().trace() / double(diagonal_.size());
     for (std::size_t k = 0; k < information.size(); ++k)
-        if (diagonal_[k].topLeftCorner<3, 3>().trace() > 0.2 * mean)
-            motions[k] = relidar::find_unobserved(information[k], noise_[k], min_information);
+        motions[k] = relidar::find_unobserved(information[k], noise_[k], min_information);
     return motions;
 }
 

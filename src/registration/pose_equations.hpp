@@ -124,6 +124,8 @@ public:
     Eigen::VectorXd solve_steps(const PoseTrack& track) const;
 
     std::size_t n_planes() const { return plane_end_.size(); }
+    /// Returns how many points of the sweep of a pose lie on planes.
+    std::size_t count_on_planes(std::size_t pose) const { return n_on_planes_[pose]; }
     double weight() const { return weight_; }  ///< sum of the weights of all points on planes
     double rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
@@ -139,6 +141,7 @@ private:
     std::vector<Matrix6> diagonal_, off_diagonal_;
     /// [poses] expected part of diagonal_ that comes from errors of the normals
     std::vector<Matrix6> noise_;
+    std::vector<std::size_t> n_on_planes_;  ///< [poses]
     Eigen::VectorXd gradient_;
     std::vector<PlanePoseCoupling> couplings_;  ///< of all planes, plane by plane
     std::vector<std::size_t> plane_end_;        ///< [planes] end of each plane's couplings
