@@ -201,8 +201,8 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
     constexpr double kLinkTime_s = 0.1;  // time between poses to which prior_.link refers
     std::vector<std::vector<UnobservedMotion>> unobserved =
         equations.find_unobserved(min_information(prior_.has_given_poses));
-    // A scan off the planes shows nothing about its pose. It must not hold this pose, which
-    // points of the earlier scan determine, too.
+    // A scan off the planes shows nothing about its pose. It must not hold this pose,
+    // because points of the earlier scan determine the pose, too.
     std::vector<std::size_t> n_points(track_.pose.size(), 0);
     for (const SubsampledPoint& point : points_) ++n_points[point.pose];
     for (std::size_t k = 0; k < n_points.size(); ++k)
