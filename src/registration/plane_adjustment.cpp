@@ -201,8 +201,8 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
     constexpr double kLinkTime_s = 0.1;  // time between poses to which prior_.link refers
     std::vector<std::vector<UnobservedMotion>> unobserved =
         equations.find_unobserved(min_information(prior_.has_given_poses));
-    // A scan off the planes shows nothing about its pose. It must not hold this pose,
-    // because points of the earlier scan determine the pose, too.
+    // A scan off the planes shows nothing about its pose. It must not tie the poses before
+    // and after it to each other.
     std::vector<std::size_t> n_points(track_.pose.size(), 0);
     for (const SubsampledPoint& point : points_) ++n_points[point.pose];
     for (std::size_t k = 0; k < n_points.size(); ++k)
@@ -213,14 +213,15 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
         equations.add_zero_prior(k, prior_.pull, block_of(corrections, k));
         if (k + 1 == track_.pose.size()) break;
         const glm::dvec3 offset_m = track_.pose[k + 1].translation - track_.pose[k].translation;
-        // The earlier pose holds an unobserved pose. The later pose does not, because the
-        // unobserved pose would else tie its neighbours to each other.
-        Matrix6 weights = hold_stiffness(unobserved[k + 1]);
-        if (k == 0) {  // The first pose has no earlier pose.
-            // Its twist is that of the next pose, seen from its own place.
-            const Matrix6 carry_back = twist_transfer(-offset_m);
-            weights += carry_back.transpose() * hold_stiffness(unobserved[k]) * carry_back;
-        }
+        // The earlier pose holds an unobserved pose. The later pose does so only if it is
+        // unobserved, too. Otherwise, the unobserved pose would tie its neighbours to each
+        // other. The first pose has no earlier pose.
+        double share = k == 0 ? 1.0 : 0.0;
+        for (const UnobservedMotion& motion : unobserved[k + 1]) share = std::max(share, motion.hidden);
+        // The twist of the earlier pose is that of the later pose, seen from its place.
+        const Matrix6 carry_back = twist_transfer(-offset_m);
+        Matrix6 weights = hold_stiffness(unobserved[k + 1]) +
+                          share * carry_back.transpose() * hold_stiffness(unobserved[k]) * carry_back;
         weights.diagonal() += kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]) * prior_.link;
         const Pose expected = track_.pose[k] * inverse(reference_.pose[k]) * reference_.pose[k + 1];
         equations.add_motion_prior(k, weights, offset_m,
@@ -264,9 +265,12 @@ void PoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_kno
     for (std::size_t k = 0; k < is_correction_known.size(); ++k) {
         if (is_correction_known[k]) continue;
         auto [before, after] = find_neighbours(k, is_correction_known);
-        if (before == k && after == k) continue;  // no known pose exists
-        if (before == k) before = after;          // at the start of the track
-        if (after == k) after = before;           // at the end
+        if (before == k && after == k) {  // no known pose exists
+            track_.pose[k] = reference_.pose[k];
+            continue;
+        }
+        if (before == k) before = after;  // at the start of the track
+        if (after == k) after = before;   // at the end
         const double s = before == after ? 0.0 : time_fraction(before, k, after);
         const Vector6 earlier = block_of(corrections, before), later = block_of(corrections, after);
         track_.pose[k] = apply_twist(reference_.pose[k], to_twist(earlier + s * (later - earlier)));
