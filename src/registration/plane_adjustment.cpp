@@ -201,8 +201,8 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
     constexpr double kLinkTime_s = 0.1;  // time between poses to which prior_.link refers
     std::vector<std::vector<UnobservedMotion>> unobserved =
         equations.find_unobserved(min_information(prior_.has_given_poses));
-    // A scan off the planes shows nothing about its pose. It must not tie the poses before
-    // and after it to each other.
+    // A scan with few points on planes is lost. Holding its pose would tie the poses
+    // before and after it to each other.
     std::vector<std::size_t> n_points(track_.pose.size(), 0);
     for (const SubsampledPoint& point : points_) ++n_points[point.pose];
     for (std::size_t k = 0; k < n_points.size(); ++k)
@@ -213,9 +213,9 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
         equations.add_zero_prior(k, prior_.pull, block_of(corrections, k));
         if (k + 1 == track_.pose.size()) break;
         const glm::dvec3 offset_m = track_.pose[k + 1].translation - track_.pose[k].translation;
-        // The earlier pose holds an unobserved pose. The later pose does so only if it is
-        // unobserved, too. Otherwise, the unobserved pose would tie its neighbours to each
-        // other. The first pose has no earlier pose.
+        // An unobserved pose is held by the pose before it. The pose after it holds it
+        // only if that is unobserved, too, because two observed neighbours must not be
+        // tied to each other. The first pose has no pose before it.
         double share = k == 0 ? 1.0 : 0.0;
         for (const UnobservedMotion& motion : unobserved[k + 1]) share = std::max(share, motion.hidden);
         // The twist of the earlier pose is that of the later pose, seen from its place.

@@ -8,10 +8,10 @@ namespace relidar {
 
 struct Run;
 
-/// Returns the directions in which a LiDAR of the log sees the body that carries it
-/// (Lidar::own_body) or nothing at all (Scene::sensor_drop), because something blocks its
-/// beams. Direction and range are those from the log's LiDAR, so they are right only for
-/// a sensor at about the same place.
+/// Returns the directions in which something blocks the rays of a LiDAR of the log: the
+/// body that carries it (Lidar::own_body), or a part that returns no light, so that all
+/// rays drop (Scene::sensor_drop). Directions and ranges start at the log's LiDAR, so
+/// they are right only for a sensor at about the same place.
 /// @param lidar_from_sensor  pose of the other sensor in the frame of the log's LiDAR
 /// @return a body without boxes; empty if nothing blocks the LiDAR
 VehicleBody find_log_body(const Run& run, int lidar, const Pose& lidar_from_sensor);

@@ -32,9 +32,9 @@ constexpr double kMinBodyShare = 0.001;  // of the returns
 // A direction shows a constant range if it has this share of returns among its rays, and
 // this share of constant ranges among its returns.
 constexpr double kMinReturnedShare = 0.3, kMinConstantShare = 0.9;
-// Distances from a place to those whose rays could pass through a point of the body. The
-// distance must be this multiple of the range of the point. Otherwise, another part of
-// the body can be there.
+// Points of the body are tested with rays from places at about these distances, at least
+// kMinRanges times the range of the point. From nearer places, another part of the body
+// can be at the position of the point.
 constexpr std::array kWitness_m = {1.0, 1.5, 2.0, 4.0, 8.0, 16.0};
 constexpr double kMinRanges = 2.5, kMaxView_m = 20.0;
 // A ray passes through a point if it is near the point and ends this much farther away. A
