@@ -397,8 +397,10 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
     batch_config.loss.intensity_ssim = 0.0f;  // else a batch is a window, without rays of all directions
     const std::size_t n_frames = frames_.all().size();
     BatchSampler batches(device, batch_config, frames_.all());
-    RayDropCounts counts(sequence);
-    const std::size_t rays_per_frame = kRaysPerBin * counts.n_bins() / std::max<std::size_t>(1, n_frames);
+    const RayDropTable& observed = frames_.mask_rules().observed_drops;
+    std::vector<SolidRay> rays;
+    const std::size_t rays_per_frame =
+        kRaysPerBin * observed.probability.size() / std::max<std::size_t>(1, n_frames);
     renderer_.set_sh_degree(active_sh_degree(config_.train, config_.train.iterations));
     for (std::size_t frame_index = 0; frame_index < n_frames; ++frame_index) {
         // The last iteration moved the surfels, so the first frame refits the tree.
@@ -409,29 +411,36 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
         const auto n_batches = static_cast<std::uint32_t>(
             std::clamp<std::size_t>(rays_per_frame / kRaysPerBatch, 1, batches.count_batches(frame)));
         for (std::uint32_t batch = 0; batch < n_batches; ++batch)
-            count_drops(counts, sequence, frame, batches.gather(stream_, frame, start, batch));
+            add_solid_rays(rays, sequence, frame, batches.gather(stream_, frame, start, batch));
     }
-    RayDropTable drops = counts.smoothed_rates();
-    drop_unobserved(drops, frames_.mask_rules().observed_drops, sequence);
+    RayDropTable drops = find_drop_excess(observed, rays);
+    drop_unobserved(drops, observed, sequence);
     return drops;
 }
 
-/// Renders a batch. Counts rays for which the scene predicts a return.
-void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
-                            const SampledBatch& batch) {
+/// Renders a batch. Appends the rays that hit a solid surface.
+void TrainLoop::add_solid_rays(std::vector<SolidRay>& rays, const Log& log, const TrainingFrameData& frame,
+                               const SampledBatch& batch) {
     constexpr float kMinSolidWeight = 0.9f;  // minimum blending weight of a ray that hits a solid surface
     const Frame& sweep = log.frames[std::size_t(frame.position)];
-    const RayDropTable& observed = frames_.mask_rules().observed_drops;
+    const Scan& scan = sweep.scan;
+    const BodyTable& own_body = log.lidar_of(sweep).own_body;
     renderer_.record_forward(batch.rays);
     stream_.submit_and_wait();
     const RenderedRayValues rendered =
         to_ray_values(renderer_.last_batch().rendered->download(batch.rays.n_rays));
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
         const std::size_t ray = batch.frame_ray(j);
-        if (!(rendered.hit_logit[j] > rendered.drop_logit[j])) continue;  // the scene predicts a drop
-        // Training ignored blind rays, so the scene may have no solid surface there.
-        if (rendered.weight[j] > kMinSolidWeight || is_blind_ray(observed, log, sweep, ray))
-            counts.add_ray(sweep, ray);
+        const glm::vec3& direction = scan.rays.direction[ray];
+        const auto beam = log.find_global_beam(sweep.lidar, scan.rays.channel[ray]);
+        if (!beam || rendered.weight[j] <= kMinSolidWeight || own_body.hides(direction, scan.range_m[ray]))
+            continue;
+        const std::size_t bin = frames_.mask_rules().observed_drops.index_of(*beam, direction);
+        rays.push_back({.bin = std::uint32_t(bin),
+                        .is_dropped = !(scan.range_m[ray] > 0.0f),
+                        .range_m = rendered.depth[j] / rendered.weight[j],
+                        .intensity = rendered.intensity[j],
+                        .drop_logit = rendered.drop_logit[j] - rendered.hit_logit[j]});
     }
 }
 

@@ -12,6 +12,7 @@
 #include <relidar/train/train.hpp>
 
 #include "base/random.hpp"
+#include "train/drops/drop_excess.hpp"
 #include "train/drops/sensor_drop.hpp"
 #include "train/frames/batch.hpp"
 #include "train/frames/training_frames.hpp"
@@ -78,8 +79,8 @@ public:
     /// scene and the log of the checkpoint.
     /// @throws DataError if an array is missing or has another shape
     void restore_from(const Checkpoint& checkpoint);
-    /// Estimates the probability that the sensor itself drops a ray. Uses only rays for
-    /// which the scene predicts a return. Waits for the device.
+    /// Returns the rates at which the sensor drops rays that the scene returns. Waits for
+    /// the device.
     RayDropTable sensor_drop_rates(Device& device, const Log& sequence);
     std::optional<RefinedPoses> refined_poses() const {
         return refiner_.is_enabled() ? std::optional(refiner_.refined_poses()) : std::nullopt;
@@ -148,8 +149,8 @@ private:
     void grow_hit_capacity(const IterationReport& report);
     /// Stores more hits per ray if many rays had more, because these are traced twice.
     void resize_stored_hits(const IterationReport& report);
-    void count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
-                     const SampledBatch& batch);
+    void add_solid_rays(std::vector<SolidRay>& rays, const Log& log, const TrainingFrameData& frame,
+                        const SampledBatch& batch);
 };
 
 }  // namespace relidar

@@ -132,7 +132,7 @@ Config quick_preset() {
     config.train.log_every = 20;
     config.refine.network = "pixel";  // nearly as accurate as "small", in a quarter of its time
     config.refine.frames = 32;
-    config.refine.epochs = 4;
+    config.refine.epochs = 8;
     // Ten times the rate of the U-Nets: the small network `pixel` then needs few epochs.
     config.refine.rate = 2e-2;
     return config;

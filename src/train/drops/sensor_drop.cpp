@@ -11,12 +11,7 @@ namespace relidar {
 namespace {
 
 constexpr int kColumnsPerBin = 3;  // image columns per azimuth bin, so that each bin gets enough rays
-constexpr int kNeighbourBins = 2;  // bins on each side over which the local drop rate is averaged
 constexpr std::uint32_t kMinRaysPerRate = 60;  // with fewer, a hole in the scene would look like a blind spot
-// Number of virtual rays that stabilise a drop rate if a bin has few real rays:
-//   rate of a bin = (drops + kPriorRays * local rate) / (rays + kPriorRays)
-//   local rate    = drops / (rays + kPriorRays), summed over the bin and its neighbours
-constexpr double kPriorRays = 8.0;
 constexpr double kMinSectorShare = 10.0 / 360.0;  // minimum width of a sector / full circle
 constexpr float kMinBlindRate = 0.95f;  // share of dropped rays from which a beam is blind at an azimuth
 
@@ -53,17 +48,30 @@ std::size_t wrapped_bin(const RayDropTable& table, std::size_t beam, int bin) {
     return beam * std::size_t(table.bins) + std::size_t((bin + table.bins) % table.bins);
 }
 
-}  // namespace
+/// Counts the rays and drops of each beam in azimuth bins of about three columns.
+class RayDropCounts {
+public:
+    explicit RayDropCounts(const Log& sequence)
+        : sequence_(sequence),
+          index_{int(sequence.count_beams()), count_azimuth_bins(sequence), {}},
+          rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
+          drops_(rays_.size(), 0) {}
+    /// Ignores rays that may have hit the body that carries the LiDAR. Several threads
+    /// may call this simultaneously.
+    void add_ray(const Frame& frame, std::size_t ray);
+    RayDropTable persistent_rates() const;
 
-RayDropCounts::RayDropCounts(const Log& sequence)
-    : sequence_(sequence),
-      index_{int(sequence.count_beams()), count_azimuth_bins(sequence), {}},
-      rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
-      drops_(rays_.size(), 0) {}
+private:
+    const Log& sequence_;
+    RayDropTable index_;  ///< contains no probabilities; used only for the layout of the bins
+    std::vector<std::uint32_t> rays_, drops_;
 
-std::size_t RayDropCounts::bin_index(int channel, int bin) const {
-    return wrapped_bin(index_, std::size_t(channel), bin);
-}
+    std::size_t bin_index(int channel, int bin) const {
+        return wrapped_bin(index_, std::size_t(channel), bin);
+    }
+    std::optional<std::pair<int, float>> grow_interval(int channel, int first_bin) const;
+    void drop_unfired(RayDropTable& drop_table, int channel) const;
+};
 
 void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
     const auto beam = sequence_.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]);
@@ -122,28 +130,7 @@ void RayDropCounts::drop_unfired(RayDropTable& drop_table, int channel) const {
         });
 }
 
-/// Returns the drop rate of a bin and its neighbours together. Adds kPriorRays returned
-/// rays, so that the rate is low if the bins have few rays.
-double RayDropCounts::local_rate(int channel, int bin) const {
-    double rays = kPriorRays, drops = 0.0;
-    for (int b = bin - kNeighbourBins; b <= bin + kNeighbourBins; ++b) {
-        const std::size_t i = bin_index(channel, b);
-        rays += double(rays_[i]);
-        drops += double(drops_[i]);
-    }
-    return drops / rays;
-}
-
-RayDropTable RayDropCounts::smoothed_rates() const {
-    RayDropTable table = index_;
-    for (int channel = 0; channel < index_.channels; ++channel)
-        for (int bin = 0; bin < index_.bins; ++bin) {
-            const std::size_t i = bin_index(channel, bin);
-            const double drops = double(drops_[i]) + kPriorRays * local_rate(channel, bin);
-            table.probability.push_back(static_cast<float>(drops / (double(rays_[i]) + kPriorRays)));
-        }
-    return table;
-}
+}  // namespace
 
 RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frame_indices) {
     RayDropCounts counts(sequence);
