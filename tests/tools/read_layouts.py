@@ -7,7 +7,7 @@ of relidar.
 
 Checks the files of a sequence, then compares its boxes with those of TRUTH: a rendering of the same
 rig with --boxes. Each object within 60 m that a sensor of TRUTH hits must have exactly one box in
-each frame, at the same pose, with points inside, and no other box may exist. Prints the numbers of
+each frame, at the same pose, with points near it, and no other box may exist. Prints the numbers of
 objects and errors, and exits with code 1 if a check fails.
 """
 import json

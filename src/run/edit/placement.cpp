@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks where an edit has placed actors: above the ground, in the boxes of other objects,
-// or in the background.
+// Checks where an edit has placed actors: above the ground, in the boxes of other
+// objects, or in the background.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>

@@ -38,8 +38,8 @@ RayIndices rays_near(const std::vector<WorldRay>& rays, const SimulatedSweep& sw
 }
 
 /// Returns true if a ray meets an instance first: if surfaces absorb at least half of its
-/// light there, and the sensor can measure the range. How likely it does so depends on the
-/// brightness of the surface, not on what hides it.
+/// light, and the sensor can measure the range. The probability of a return is not used,
+/// because it depends on the brightness of the surface, not on what hides it.
 bool meets_instance(const RenderedScan& scan, std::size_t ray, std::size_t instance) {
     return scan.instance[ray] == std::int32_t(instance) && scan.weight[ray] >= 0.5f &&
            scan.image.drop_prob[ray] < 1.0f;

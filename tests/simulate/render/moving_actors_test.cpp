@@ -206,7 +206,7 @@ TEST_F(MovingActors, TheGroundDoesNotHideTheVan) {
     const double n_rays = 2.0 * std::atan(1.1 / 10.0) / (2.0 * kPi) * 7200.0;
     for (const float hit_logit : {20.0f, -5.0f}) {
         Log log = drive(7200, kStands, kVanAhead);
-        // The second beam meets the plate 0.1 m below the ground, the third 0.1 m above it.
+        // The second beam meets the plate 0.1 m below the ground, the third 0.1 m above.
         for (const double z_m : {-1.1, -0.9})
             log.lidars[0].sensor.beams.push_back({.elevation_rad = std::atan(z_m / 10.0)});
         Surfels rear = make_rear();
