@@ -50,7 +50,7 @@ struct EditedRun {
         return *this;
     }
 
-    /// Returns the edited run. Warns about changed actors that float or overlap something.
+    /// Returns the edited run. Warns if changed actors float or overlap something.
     std::unique_ptr<LoadedRun> copy_run() const {
         Run edited = run;
         edited.set_driving_scene(driving);
