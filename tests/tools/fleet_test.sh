@@ -173,10 +173,36 @@ variations() {
     cd ..
 }
 
+# Copies that overlap something get other places, until no note of `edit` names them. The stand-in
+# for relidar prints such a note for the first three edits with copies.
+moved_copies() {
+    cat >bin/relidar_notes <<'STAND_IN'
+#!/bin/sh
+case $1 in
+info) echo '{"log": {"boxes": [{"id": "0", "surfels": 5}]}}' ;;
+export) printf 'x,y,yaw_deg\n0,0,0\n' >"$4" ;;
+edit)
+    n=0
+    for word; do
+        case $word in 0@*) n=$((n + 1)) && echo "copied 0 as 0-copy-$n, on the ground" ;; esac
+    done
+    [ $n = 0 ] || echo edit >>edits.txt
+    [ $n = 0 ] || [ "$(wc -l <edits.txt)" -gt 3 ] || echo "note: the background, for example a wall, fills 9 % of the box of 0-copy-1 above"
+    ;;
+esac
+STAND_IN
+    chmod 755 bin/relidar_notes
+    /usr/bin/python3 "$fleet/variations.py" r --out moved --scenes 8 --relidar "$PWD/bin/relidar_notes" >out 2>err
+    check "variations.py fails with the stand-in" test $? = 0
+    check "variations.py does not move the copies in notes" test "$(grep -h '^moved: 0@' moved/done/* | wc -l)" = 3
+    check "variations.py moves copies without a note" test "$(grep -L . moved/done/* | wc -l)" = 7
+}
+
 score_tables
 stand_ins
 slurm
 kubernetes
+moved_copies
 if "$relidar" list devices >out 2>err; then
     streets
     makefile

@@ -50,9 +50,13 @@ struct EditedRun {
         return *this;
     }
 
+    /// Returns the edited run. Warns if changed actors float or overlap something.
     std::unique_ptr<LoadedRun> copy_run() const {
         Run edited = run;
         edited.set_driving_scene(driving);
+        const SceneWithLogView view{edited.scene, edited.sequence};
+        for (const Note& note : check_placement(view, list_changed_tracks(view, run.sequence.boxes)))
+            show_warning(note.text);
         return std::make_unique<LoadedRun>(std::move(edited), device);
     }
 };
@@ -108,7 +112,8 @@ void bind_edit_class(py::module_& module) {
     py::class_<EditedRun>(
         module, "Edit",
         "A copy of a run that is being edited. Each edit returns the same object, so that calls can be "
-        "chained. run() or save() finishes the edits. Raises UsageError for an unknown track.")
+        "chained. run() or save() finishes the edits, and warns about changed actors above the ground, or "
+        "inside other objects or the background. Raises UsageError for an unknown track.")
         .def(
             "remove",
             [](EditedRun& edits, const std::string& track) -> EditedRun& {

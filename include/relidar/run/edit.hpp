@@ -88,9 +88,16 @@ std::vector<std::optional<double>> heights_above_ground(const SceneWithLogView& 
                                                         const PoseTrack& dataset_path,
                                                         const glm::dvec3& size_m);
 
+/// Returns the tracks of all actors that edits have added or moved.
+/// @param boxes_before boxes of the log before all edits
+std::vector<std::string> list_changed_tracks(const SceneWithLogView& edited,
+                                             const std::vector<BoxTrack>& boxes_before);
+
 /// Checks actors that an edit has placed, at the times of the frames. Note ids:
 /// "floating": the box is more than 0.3 m above the ground.
 /// "overlap": the box and another box share more than 0.1 m.
+/// "background": surfaces of the background at least 0.3 m above the ground, and the
+/// space below them, fill more than 2 % of the box without 0.1 m at its sides.
 /// @param tracks  the actors to check
 Notes check_placement(const SceneWithLogView& edited, const std::vector<std::string>& tracks);
 

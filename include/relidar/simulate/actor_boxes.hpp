@@ -38,8 +38,8 @@ struct ActorBox {
     /// First returns of the scan on the actor, or returns of the background that are
     /// is_on_object() of a standing object.
     std::size_t n_points = 0;
-    /// Rays that hit the object first, divided by those that would hit it alone. For a
-    /// standing object see ActorVisibility.
+    /// Rays that hit the object first, divided by those that would hit it alone. See
+    /// ActorVisibility.
     double visible_share = 0.0;
 };
 

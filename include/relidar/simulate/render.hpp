@@ -41,8 +41,10 @@ struct UnobservedActorSide {
 using UnobservedActorSides = std::vector<UnobservedActorSide>;
 
 /// Numbers of rays that hit an actor or a standing object (list_standing()). A ray counts
-/// if surfaces absorb at least half of its light, and if the surfels' drop probability is
-/// below 0.5.
+/// if surfaces absorb at least half of its light, and if the sensor can measure the
+/// range, even if that is unlikely. The ray must also end where is_on_object() is true,
+/// because the soft edge of an actor reaches below the ground. If no ray ends there, all
+/// rays on the model count.
 ///
 /// The points of a standing object cannot be rendered alone. Of the rays that cross its
 /// box, those that nothing stops before the box show which share hits the object. The

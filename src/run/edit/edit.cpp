@@ -290,6 +290,19 @@ SceneWithLog scale_speed(SceneWithLog edited, const std::string& track, double f
     return edited;
 }
 
+std::vector<std::string> list_changed_tracks(const SceneWithLogView& edited,
+                                             const std::vector<BoxTrack>& boxes_before) {
+    std::vector<std::string> changed;
+    for (const ModelInstance& instance : edited.scene.instances) {
+        const BoxTrack* box = find_box(edited.sequence, instance.track);
+        const auto original = std::ranges::find(boxes_before, instance.track, &BoxTrack::id);
+        if (box &&
+            (original == boxes_before.end() || !is_same_track(box->world_from_box, original->world_from_box)))
+            changed.push_back(instance.track);
+    }
+    return changed;
+}
+
 SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
     std::set<std::string> changed;  // ids of tracks that were moved or added
     for (BoxTrack& box : scene_and_log.sequence.boxes) {

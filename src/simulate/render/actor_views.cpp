@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Measures how much of each actor is visible in a scan. Divides the number of rays that
-// hit the actor by the number that would hit it if the scene contained nothing else. For
+// hit the actor by the number that would hit it if the scene contained nothing else. Both
+// numbers leave out the soft edge of the surfels around the box and below the ground. For
 // standing objects, which are part of the background, estimates the latter number.
 #include <relidar/scene/labels.hpp>
 
@@ -36,11 +37,29 @@ RayIndices rays_near(const std::vector<WorldRay>& rays, const SimulatedSweep& sw
     return nearby;
 }
 
+/// Returns true if a ray meets an instance first: if surfaces absorb at least half of its
+/// light, and the sensor can measure the range. The probability of a return is not used,
+/// because it depends on the brightness of the surface, not on what hides it.
+bool meets_instance(const RenderedScan& scan, std::size_t ray, std::size_t instance) {
+    return scan.instance[ray] == std::int32_t(instance) && scan.weight[ray] >= 0.5f &&
+           scan.image.drop_prob[ray] < 1.0f;
+}
+
+/// Returns true if a ray of a scan ends at the object in the box of a model, see
+/// is_on_object(). The soft edge of its surfels also reaches around the box.
+bool is_on_model(const InstancePose& pose, const glm::dvec3& half_size_m, const WorldRay& ray,
+                 const RenderedScan& scan, std::size_t index) {
+    const Pose world_from_box = pose.motion.pose_at(pose.world_from_model, double(scan.time_offset_s[index]));
+    const glm::dvec3 end_m = ray.origin_m + double(scan.median_range_m[index]) * ray.direction;
+    // A model's box contains the margin.
+    return is_on_object(inverse(world_from_box) * end_m, 2.0 * (half_size_m - kObjectMargin_m));
+}
+
 /// Rays that cross the box of a standing object.
 struct CrossingRays {
     std::size_t n_blocked = 0;  ///< meet another object before they leave the box
-    std::size_t n_hits = 0;     ///< return from the background in the box
-    std::size_t n_dropped = 0;  ///< meet the background in the box without a return
+    std::size_t n_hits = 0;     ///< meet the background in the box
+    std::size_t n_dropped = 0;  ///< meet it there, but the sensor cannot measure the range
     std::size_t n_empty = 0;    ///< meet no surface before they leave the box
 
     /// Counts a ray of a scan.
@@ -48,10 +67,9 @@ struct CrossingRays {
     void count_ray(const RenderedScan& scan, std::size_t ray, const glm::dvec2& inside_m) {
         const double range_m = double(scan.median_range_m[ray]);
         const bool hits_surface = scan.weight[ray] >= 0.5f && range_m > 0.0;
-        const bool is_background = scan.instance[ray] == 0;
         if (!hits_surface || range_m > inside_m.y) ++n_empty;
-        else if (!is_background || range_m < inside_m.x) ++n_blocked;
-        else if (is_ray_returned(scan.image.drop_prob[ray], scan.median_range_m[ray])) ++n_hits;
+        else if (scan.instance[ray] != 0 || range_m < inside_m.x) ++n_blocked;
+        else if (meets_instance(scan, ray, 0)) ++n_hits;
         else ++n_dropped;
     }
 
@@ -69,20 +87,8 @@ struct CrossingRays {
 
 }  // namespace
 
-/// Counts for each instance the rays that return from it. A ray at the edge of an actor
-/// counts only if surfaces absorb at least half of its light.
-ActorViews ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const {
-    ActorViews views;
-    for (const ModelInstance& instance : sweeps.layout().instances) views.push_back({instance.track});
-    for (std::size_t ray = 0; ray < scan.instance.size(); ++ray)
-        if (scan.instance[ray] >= 0 && scan.weight[ray] >= 0.5f &&
-            is_ray_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
-            ++views[std::size_t(scan.instance[ray])].n_rays;
-    return views;
-}
-
-/// Counts the rays of a scan that return from standing objects, and estimates how many
-/// would if no other object hid them.
+/// Counts the rays of a scan that meet standing objects, and estimates how many would if
+/// no other object hid them.
 /// @param rays the rays of the scan in the world frame
 void ScanRenderer::Impl::count_standing(const std::vector<WorldRay>& rays, const RenderedScan& scan,
                                         double max_range_m, ActorViews& views) const {
@@ -111,26 +117,36 @@ ActorViews ScanRenderer::Impl::count_views(const SimulatedSweep& sweep, ScanRend
                                            const RenderedScan& scan) {
     plan.network = ScanRenderPlan::RayDropStage::none;
     const std::vector<WorldRay> rays = fired_rays(sweep);
-    ActorViews views = count_first_hits(scan);
-    for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
-        if (views[i].track.empty() || !sweep.instances[i].present) continue;
-        const SurfelModel& model = sweeps.layout().models[sweeps.layout().instances[i].model];
-        const RayIndices nearby =
-            rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
+    ActorViews views;
+    const std::vector<ModelInstance>& instances = sweeps.layout().instances;
+    for (std::size_t i = 0; i < instances.size() && !rays.empty(); ++i) {
+        // The background has no track.
+        if (instances[i].track.empty() || !sweep.instances[i].present) continue;
+        const glm::dvec3 half_size_m(sweeps.layout().models[instances[i].model].half_size_m);
+        const RayIndices nearby = rays_near(rays, sweep, sweep.instances[i], glm::length(half_size_m));
         if (nearby.empty()) continue;
         // The same sweep with only these rays, and with all other instances hidden. They
         // replace the rays of the sensor.
         SimulatedSweep alone = sweep;
         alone.changed_rays = select_rays(sweep.rays(), nearby);
-        for (std::size_t k = 0; k < views.size(); ++k) alone.instances[k].present = k == i;
+        for (std::size_t k = 0; k < instances.size(); ++k) alone.instances[k].present = k == i;
         prepare_scene(lanes->first(), alone);
         const RenderedScan hits = plan.has_sub_rays() ? trace_footprint(alone, plan)
                                                       : trace_rays(alone, alone.rays(), plan.network).scan;
-        views[i].n_rays_alone = count_first_hits(hits)[i].n_rays;
+        ActorVisibility on_object{instances[i].track}, on_model = on_object;
+        for (std::size_t k = 0; k < nearby.size(); ++k) {
+            const bool is_hit = meets_instance(scan, nearby[k], i), is_alone = meets_instance(hits, k, i);
+            on_model.n_rays += is_hit;
+            on_model.n_rays_alone += is_hit || is_alone;
+            if (!is_alone || !is_on_model(sweep.instances[i], half_size_m, rays[nearby[k]], hits, k))
+                continue;
+            on_object.n_rays += is_hit;
+            ++on_object.n_rays_alone;
+        }
+        // If only the lowest part of the actor is in view, counts all rays.
+        if (on_object.n_rays_alone == 0) on_object = on_model;
+        if (on_object.n_rays_alone > 0) views.push_back(on_object);
     }
-    // Removes the background and actors that no ray would hit.
-    std::erase_if(views,
-                  [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
     prepare_scene(lanes->first(), sweep);  // shows the other instances again
     if (sweeps.is_background_shown()) count_standing(rays, scan, sweeps.limits_of(sweep.sensor).max_m, views);
     return views;

@@ -115,7 +115,6 @@ struct ScanRenderer::Impl {
     TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table,
                           ScanRenderPlan::RayDropStage network);
     RenderedScan trace_footprint(const SimulatedSweep& sweep, const ScanRenderPlan& plan);
-    ActorViews count_first_hits(const RenderedScan& scan) const;
     void count_standing(const std::vector<WorldRay>& rays, const RenderedScan& scan, double max_range_m,
                         ActorViews& views) const;
     ActorViews count_views(const SimulatedSweep& sweep, ScanRenderPlan plan, const RenderedScan& scan);

@@ -306,10 +306,58 @@ TEST(Placement, NotesGapsAndOverlaps) {
     EXPECT_EQ(ids_of(notes_of(parked, "van")), std::vector<std::string>{"overlap"});
 }
 
+/// The true share of the van's box without 0.1 m at its sides that is in the solid of
+/// park_car(), more than 0.3 m above the ground: the mean over a grid of points.
+double share_in_parked_car(const Pose& world_from_box, double car_x_m, double car_y_m) {
+    constexpr int kSteps = 40;
+    int n = 0, n_inside = 0;
+    for (int i = 0; i < kSteps * kSteps * kSteps; ++i) {
+        const glm::dvec3 cell(i % kSteps, i / kSteps % kSteps, i / (kSteps * kSteps));
+        const glm::dvec3 p =
+            world_from_box * (((cell + 0.5) / double(kSteps) - 0.5) * glm::dvec3(3.8, 1.8, 1.6));
+        const double height_m = p.z - compute_slope_height(p.x, p.y);
+        if (height_m < 0.3) continue;
+        ++n;
+        n_inside += std::abs(p.x - car_x_m) < 2.0 && std::abs(p.y - car_y_m) < 0.8 &&
+                    height_m < (p.x > car_x_m + 1.0 ? 0.8 : 1.4);
+    }
+    return double(n_inside) / n;
+}
+
+TEST(Placement, NotesTheShareInTheBackground) {
+    SceneWithLog d = make_slope();
+    park_car(d, 4.0, 2.0);
+    Surfels background = d.scene.surfels.slice(0, d.scene.models[0].count);
+    for (double x = -20.0; x < 20.0; x += 1.0)
+        for (double y = -10.0; y < 10.0; y += 1.0) {
+            add_surfel(background, {x, y, compute_slope_height(x, y) + 1.0}, {1, 0, 0});  // noise
+            for (const double z : {0.5, 0.6, 0.7, 0.8}) {                                 // haze
+                add_surfel(background, {x, y, compute_slope_height(x, y) + z}, {1, 0, 0});
+                background.opacity_logit.back() = -2.0f;
+            }
+        }
+    set_background(d, std::move(background));
+    for (const glm::dvec2& place : {glm::dvec2(4.0, 2.0), glm::dvec2(5.0, 2.6), glm::dvec2(6.0, 1.2),
+                                    glm::dvec2(4.0, -4.0), glm::dvec2(-7.0, -5.0)}) {
+        const NewActorMotion start =
+            place_on_ground(d, {glm::dvec2(kWorldOffset_m) + place, 0.2, 0.0, /*clearance_m=*/0.0}, "van");
+        const SceneWithLog edited = copy_track(d, "van", start);
+        const Pose pose{start.dataset_from_box.rotation, start.dataset_from_box.translation - kWorldOffset_m};
+        const double share = share_in_parked_car(pose, 4.0, 2.0);
+        std::string text;
+        for (const Note& note : check_placement({edited.scene, edited.sequence}, {"van-copy-1"}))
+            if (note.id == "background") text = note.text;
+        EXPECT_EQ(text.empty(), share == 0.0) << place.x << " " << share << " " << text;
+        if (text.empty()) continue;
+        EXPECT_NEAR(0.01 * std::stod(text.substr(text.find("fills ") + 6)), share, 0.06) << place.x;
+    }
+}
+
 class GroundOfBlocks : public TemporaryFolder {};
 
 TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
-    const SceneWithLog full_slope = make_slope();
+    SceneWithLog full_slope = make_slope();
+    park_car(full_slope, -10.0, -5.0);
     const std::uint32_t n = full_slope.scene.models[0].count;
     const auto block_file = folder / "model.safetensors";
     save_model(block_file, wrap_background(full_slope.scene.surfels.slice(0, n)));
@@ -319,6 +367,11 @@ TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
     d.scene.models[1].first = 0;
     d.scene.blocks.push_back({block_file, n, glm::vec3(-20, -10, -3), glm::vec3(20, 10, 3)});
     expect_on_slope(placed(d, 6.0, 3.0, 2.0), 6.0, 3.0, 2.0);
+    const NewActorMotion in_car =
+        place_on_ground(d, {glm::dvec2(kWorldOffset_m) + glm::dvec2(-10.0, -5.0), 0.0}, "van");
+    const SceneWithLog edited = copy_track(d, "van", in_car);
+    EXPECT_EQ(ids_of(check_placement({edited.scene, edited.sequence}, {"van-copy-1"})),
+              std::vector<std::string>{"background"});
 }
 
 std::string refusal(const SceneWithLog& driving, const glm::dvec2& dataset_m,

@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 #include <glm/gtc/quaternion.hpp>
 #include <relidar/read/dataset.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
@@ -48,7 +49,7 @@ Scene make_one_actor(const Surfels& surfels, Surfels background = {}) {
     const auto n = std::uint32_t(background.size());
     Scene scene;
     scene.models = {{"background", 0, n},
-                    {"actor", n, std::uint32_t(surfels.size()), glm::vec3(0.5 * kVan_m)}};
+                    {"actor", n, std::uint32_t(surfels.size()), glm::vec3(0.5 * kVan_m + kObjectMargin_m)}};
     scene.instances = {{0, ""}, {1, "actor"}};
     scene.surfels = std::move(background);
     scene.surfels.append_surfels(surfels);
@@ -185,8 +186,9 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
         ASSERT_EQ(scan.actor_views.size(), 1u);
         const ActorVisibility& view = scan.actor_views[0];
         EXPECT_EQ(view.track, "actor");
-        // The van's rear is 10 m ahead. A column is 2 pi / 7200 wide.
-        EXPECT_NEAR(double(view.n_rays_alone), 2.0 * std::atan(kEdge / 10.0) / (2.0 * kPi) * 7200.0, 3.0);
+        // The van's rear is 10 m ahead, 2 m wide and has margins. A column is 2 pi / 7200
+        // wide.
+        EXPECT_NEAR(double(view.n_rays_alone), 2.0 * std::atan(1.1 / 10.0) / (2.0 * kPi) * 7200.0, 3.0);
         EXPECT_NEAR(double(view.n_rays) / double(view.n_rays_alone), share, 0.015);
         // 0 is the background, 3 is a person, and -1 means that the ray hits nothing.
         const auto& classes = *find_values<std::int32_t>(scan.channels, "class");
@@ -196,6 +198,34 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
     };
     expect_share(5.0, 0.5);
     expect_share(20.0, 1.0);
+}
+
+/// The plate of the rear ends 0.17 m below the ground. The ground hides that part, but no
+/// object hides the van. A dark van, of which few rays return, is as visible.
+TEST_F(MovingActors, TheGroundDoesNotHideTheVan) {
+    const double n_rays = 2.0 * std::atan(1.1 / 10.0) / (2.0 * kPi) * 7200.0;
+    for (const float hit_logit : {20.0f, -5.0f}) {
+        Log log = drive(7200, kStands, kVanAhead);
+        // The second beam meets the plate 0.1 m below the ground, the third 0.1 m above.
+        for (const double z_m : {-1.1, -0.9})
+            log.lidars[0].sensor.beams.push_back({.elevation_rad = std::atan(z_m / 10.0)});
+        Surfels rear = make_rear();
+        rear.sh[kShCoefficients] = hit_logit;
+        const Scene scene = make_one_actor(rear, test::make_plate({0.0f, 0.0f, -1.0f}, {60.0f, 60.0f}, true));
+        ScanRenderer renderer(device(), scene, {}, log);
+        renderer.count_actor_rays();
+        const RenderedScan scan = renderer.render(make_sensor({}, log), 0.5);
+        ASSERT_EQ(scan.actor_views.size(), 1u) << hit_logit;
+        EXPECT_NEAR(double(scan.actor_views[0].n_rays), n_rays, 3.0) << "the lowest 0.15 m do not count";
+        EXPECT_EQ(scan.actor_views[0].n_rays, scan.actor_views[0].n_rays_alone);
+        // Without the highest beam, only the lowest part of the van is in view.
+        log.lidars[0].sensor.beams.erase(log.lidars[0].sensor.beams.begin());
+        ScanRenderer low(device(), scene, {}, log);
+        low.count_actor_rays();
+        const ActorViews views = low.render(make_sensor({}, log), 0.5).actor_views;
+        ASSERT_EQ(views.size(), 1u);
+        EXPECT_GT(views[0].n_rays, 100u) << "the rays between the ground and 0.15 m";
+    }
 }
 
 /// A plate fills the front of a labelled box that stands. Rays at |y| < 1.1 m, the side

@@ -4,9 +4,11 @@
 // of nuScenes with the reader of relidar. tests/tools/read_layouts.py reads all files.
 
 #include <fstream>
+#include <set>
 #include <sstream>
 
 #include <gmock/gmock.h>
+#include <nlohmann/json.hpp>
 
 #include <relidar/read/dataset.hpp>
 #include <relidar/simulate/dataset_layouts.hpp>
@@ -210,6 +212,23 @@ TEST_F(Layouts, PointsHaveTheClassAndNumberOfTheirObject) {
         const bool has_label = surface != SurfaceClass::other_actor && surface != SurfaceClass::ego;
         EXPECT_EQ(from_semantic_kitti(to_semantic_kitti(surface)), has_label ? surface : SurfaceClass{});
     }
+}
+
+/// No point is in these small boxes, so a test of positions would lose all objects.
+TEST_F(Layouts, ObjectsHaveThePointsOfTheirInstance) {
+    for (DatasetSensor& sensor : sensors)
+        for (BoxTrack& box : sensor.options.actors) box.size_m *= 0.5;
+    write_sequence("nuscenes", 0);
+    std::multiset<std::size_t> expected, found;
+    for (const double t : times_s)
+        for (const int instance : {1, 2})
+            expected.insert(
+                std::size_t(std::ranges::count(cast_rays(t, Pose{}, -45.0).instance, instance) +
+                            std::ranges::count(cast_rays(t, kSecondMounting, -300.0).instance, instance)));
+    const std::string table = read_contents(folder / "v1.0-trainval/sample_annotation.json");
+    for (const auto& record : nlohmann::json::parse(table))
+        found.insert(record.at("num_lidar_pts").get<std::size_t>());
+    EXPECT_EQ(found, expected);
 }
 
 TEST_F(Layouts, RejectWhatALayoutCannotStore) {

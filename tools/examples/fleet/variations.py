@@ -5,8 +5,8 @@
 
 Each scene removes, delays and copies actors, draws a weather and shifts the sensor. What was
 drawn depends only on the seed and the scene; set/scenes.csv lists it. A copy without ground below
-it is left out, and set/done/SCENE names it. Unknown options go to `relidar render`. The same
-command continues an interrupted data set.
+it, or inside an actor or the background, gets another place; set/done/SCENE lists these copies.
+Unknown options go to `relidar render`. The same command continues an interrupted data set.
 """
 import argparse
 import csv
@@ -15,11 +15,15 @@ import math
 import os
 import pathlib
 import random
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
+
+
+MAX_DRAWS = 20   # places for the copies of a scene that cannot be where they were drawn first
 
 
 def call(*words):
@@ -62,33 +66,51 @@ def draw_scene(scene, actors, path):
             "render": " ".join([options.sensor, options.frames, options.layout or "", *render_options])}
 
 
+def find_blocked(copies, report):
+    """Returns the first copy that overlaps something, after the notes of `relidar edit`, or None."""
+    names = re.findall("^copied .* as ([^ ,]+)", report, re.M)   # the first edits, in their order
+    notes = re.findall(r"^note: the (?:background|boxes)\b.*", report, re.M)
+    return next((copy for copy, name in zip(copies, names) if any(name in note.split() for note in notes)), None)
+
+
 def edit_run(row, edited):
-    """Edits the run. A copy that has no ground below it is left out. Returns these copies."""
-    copies, left_out = row["copy"].split(), []
+    """Edits the run. A copy that has no ground below it, or that overlaps something, gets another
+    place; after MAX_DRAWS places in all, it is left out. Returns a line for each of these copies."""
+    copies, lines = row["copy"].split(), []
+    generator, n_draws = random.Random(f"{row['seed']}/places"), 0
     while True:
         # A copy comes before the removal of its model.
         edits = [("--copy", copies), ("--retime", row["retime"].split()), ("--remove", row["remove"].split())]
         words = [word for option, values in edits for value in values for word in (option, value)]
         if not words:
-            return left_out
-        done = subprocess.run([options.relidar, "edit", options.run, "--out", edited, *words, "--force", "--quiet"],
-                              stderr=subprocess.PIPE, text=True)
-        failed = [copy for copy in copies if f"--copy {copy}" in done.stderr] if done.returncode else []
-        print(done.stderr, end="", file=sys.stderr)
-        if done.returncode and not failed:
+            return lines
+        done = subprocess.run([options.relidar, "edit", options.run, "--out", edited, *words, "--force"],
+                              stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        no_ground = [copy for copy in copies if f"--copy {copy}" in done.stderr] if done.returncode else []
+        if done.returncode and not no_ground:
+            print(done.stderr, end="", file=sys.stderr)
             sys.exit(done.returncode)
+        failed = no_ground[0] if no_ground else find_blocked(copies, done.stdout)
         if not failed:
-            return left_out
-        copies.remove(failed[0])
-        left_out.append(failed[0])
+            print(done.stderr, end="", file=sys.stderr)
+            return lines
+        n_draws += 1
+        if n_draws < MAX_DRAWS:
+            actor, speed = failed[:failed.rindex("@")], failed[failed.rindex(":"):]
+            place = f"{actor}@{draw_place(generator, path)}{speed}"
+            copies[copies.index(failed)] = place
+            lines.append(f"moved: {failed} to {place}")
+        else:
+            copies.remove(failed)
+            lines.append(f"left out: {failed}")
 
 
 def render_scene(row, out):
     """Edits the run and renders the scene. A half-written scene of an earlier call is replaced.
-    Returns the copies that are left out."""
+    Returns the lines of edit_run()."""
     edited = out / "edited"
     shutil.rmtree(edited, ignore_errors=True)   # of an interrupted scene
-    left_out = edit_run(row, edited)
+    lines = edit_run(row, edited)
     weather = ["--weather", row["weather"]] if row["weather"] else []
     # With --layout, all scenes are sequences of one data set.
     layout = ["--layout", options.layout] if options.layout else []
@@ -97,7 +119,7 @@ def render_scene(row, out):
          "--frames", options.frames, "--sample", row["seed"], f"--offset={row['offset']}", *weather, *layout, "--boxes",
          "--force", "--quiet", *render_options)
     shutil.rmtree(edited, ignore_errors=True)
-    return left_out
+    return lines
 
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -139,7 +161,7 @@ done = options.out / "done"
 done.mkdir(exist_ok=True)
 left, begin_s = [row for row in rows if not (done / f"{row['scene']:04d}").exists()], time.monotonic()
 for count, row in enumerate(left, 1):
-    left_out = render_scene(row, options.out)
-    (done / f"{row['scene']:04d}").write_text("".join(f"left out: {copy}\n" for copy in left_out))
+    lines = render_scene(row, options.out)
+    (done / f"{row['scene']:04d}").write_text("".join(f"{line}\n" for line in lines))
     spent_s = time.monotonic() - begin_s
     print(f"scene {row['scene'] + 1} of {len(rows)}, {spent_s:.0f} s, {spent_s / count * (len(left) - count):.0f} s left", flush=True)

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <algorithm>
 #include <filesystem>
 #include <memory>
 
@@ -27,33 +26,13 @@ struct EditOptions {
     bool quiet = false;
 };
 
-bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
-    const auto same = [](const Pose& p, const Pose& q) {
-        return p.translation == q.translation && p.rotation == q.rotation;
-    };
-    return first.time_s == second.time_s && std::ranges::equal(first.pose, second.pose, same);
-}
-
-/// Returns the tracks of all actors that the edits have added or moved.
-std::vector<std::string> changed_tracks(const SceneWithLog& driving_scene, const Log& original_log) {
-    std::vector<std::string> changed;
-    for (const ModelInstance& instance : driving_scene.scene.instances) {
-        const BoxTrack* box = find_box(driving_scene.sequence, instance.track);
-        const BoxTrack* original = find_box(original_log, instance.track);
-        if (!box) continue;
-        if (!original || !is_same_track(box->world_from_box, original->world_from_box))
-            changed.push_back(instance.track);
-    }
-    return changed;
-}
-
 /// Returns notes about changed actors that may look wrong: above the ground, inside other
 /// objects, with sides without observations, or with too few surfels for their distance.
 std::string placement_notes(const SceneWithLog& driving_scene, const Log& original_log) {
     std::string text;
-    const std::vector<std::string> tracks = changed_tracks(driving_scene, original_log);
-    for (const Note& note : check_placement({driving_scene.scene, driving_scene.sequence}, tracks))
-        text += fmt::format("note: {}\n", note.text);
+    const SceneWithLogView edited{driving_scene.scene, driving_scene.sequence};
+    const std::vector<std::string> tracks = list_changed_tracks(edited, original_log.boxes);
+    for (const Note& note : check_placement(edited, tracks)) text += fmt::format("note: {}\n", note.text);
     for (const std::string& track : tracks) {
         if (const std::string sides = describe_unseen(driving_scene.scene, track); !sides.empty())
             text += fmt::format("note: {}\n", sides);

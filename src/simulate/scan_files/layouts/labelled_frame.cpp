@@ -98,13 +98,7 @@ double share_outside(const std::vector<FieldOfView>& views, const std::vector<Po
     return double(n_outside) / (kSteps * kSteps * kSteps);
 }
 
-std::size_t count_points(const LidarPoints& cloud, const Pose& box_from_cloud, const glm::dvec3& size_m) {
-    return std::size_t(std::ranges::count_if(cloud.position_m, [&](const glm::vec3& point) {
-        return is_in_box(box_from_cloud * glm::dvec3(point), size_m);
-    }));
-}
-
-LabelledObject describe_object(const scan_files::ActorInScan& actor, int number) {
+LabelledObject describe_object(const scan_files::ActorInScan& actor, int number, std::size_t n_points) {
     const BoxTrack& box = *actor.box;
     return {.track = box.id,
             .category = label_of(box),
@@ -113,6 +107,7 @@ LabelledObject describe_object(const scan_files::ActorInScan& actor, int number)
             .moves = box.is_moving(),
             .size_m = box.size_m,
             .world_from_box = actor.world_from_box(actor.faced_s),
+            .n_points = n_points,
             .visible_share = actor.visible_share};
 }
 
@@ -126,18 +121,21 @@ std::vector<LabelledObject> find_seen_objects(std::span<const RenderedScan> scan
     for (const auto* boxes : {&options.actors, &options.standing})
         for (const BoxTrack& box : *boxes) tracks.push_back(box.id);
     std::map<int, scan_files::ActorInScan> seen;  // by the index of the track
+    std::map<int, std::size_t> n_points;          // of all sensors
     for (std::size_t s = 0; s < scans.size(); ++s)
         for (const scan_files::ActorInScan& actor : scan_files::find_actors(scans[s], sensors[s].options)) {
             // An actor with a note is not visible: its points belong to another object.
             if (actor.n_points == 0 || actor.note != LabelNote::none) continue;
             const int number = int(std::ranges::find(tracks, actor.box->id) - tracks.begin());
             scan_files::ActorInScan& best = seen.try_emplace(number, actor).first->second;
+            n_points[number] += actor.n_points;
             const auto largest_share = std::max(actor.visible_share, best.visible_share);
             if (actor.n_points > best.n_points) best = actor;
             best.visible_share = largest_share;
         }
     std::vector<LabelledObject> objects;
-    for (const auto& [number, actor] : seen) objects.push_back(describe_object(actor, number));
+    for (const auto& [number, actor] : seen)
+        objects.push_back(describe_object(actor, number, n_points[number]));
     return objects;
 }
 
@@ -153,10 +151,6 @@ ObjectNames find_object_names(const std::string& category) {
 
 std::string nuscenes_category(const std::string& category) {
     return category.find('.') == std::string::npos ? find_object_names(category).nuscenes : category;
-}
-
-bool is_in_box(const glm::dvec3& point_in_box_m, const glm::dvec3& size_m) {
-    return glm::all(glm::lessThanEqual(glm::abs(point_in_box_m), 0.5 * size_m));
 }
 
 /// Returns the points of all sensors at one time, and the labelled boxes of the objects
@@ -176,11 +170,8 @@ LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector
     }
     for (LabelledObject& object : find_seen_objects(scans, sensors)) {
         std::vector<Pose> sensor_from_box;
-        for (std::size_t s = 0; s < scans.size(); ++s) {
-            sensor_from_box.push_back(inverse(scans[s].world_from_sensor) * object.world_from_box);
-            object.n_points += count_points(frame.clouds[s], inverse(sensor_from_box[s]), object.size_m);
-        }
-        if (object.n_points == 0) continue;
+        for (const RenderedScan& scan : scans)
+            sensor_from_box.push_back(inverse(scan.world_from_sensor) * object.world_from_box);
         object.truncated = share_outside(views, sensor_from_box, object.size_m);
         frame.objects.push_back(std::move(object));
     }

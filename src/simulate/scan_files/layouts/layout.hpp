@@ -38,7 +38,7 @@ struct LabelledObject {
     bool moves = false;                        ///< true if the object moves at any time
     glm::dvec3 size_m{0.0};                    ///< length, width and height
     Pose world_from_box = {};                  ///< at the time at which the sensor faces the object
-    std::size_t n_points = 0;                  ///< points of all sensors in the box
+    std::size_t n_points = 0;                  ///< ActorBox::n_points, of all sensors
     std::optional<double> visible_share = {};  ///< of the sensor that sees most
     double truncated = 0.0;                    ///< share of the box outside the field of view of every sensor
 };
@@ -55,9 +55,6 @@ struct LabelledFrame {
 
 LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector<DatasetSensor>& sensors,
                           std::size_t index);
-
-/// @param point_in_box_m  in the frame of the box
-bool is_in_box(const glm::dvec3& point_in_box_m, const glm::dvec3& size_m);
 
 /// The list of sequences in the file dataset.json.
 struct DatasetIndex {
