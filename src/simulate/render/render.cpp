@@ -194,9 +194,12 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(RenderLane& l
     });
     rays->place(stream, sweep.world_from_sensor, sweep.time_s);
     renderer.record_forward(rays->world_batch());
+    const std::vector<Beam> beams =
+        sensor.is_log_lidar ? sensor.beams
+                            : mean_responses(ray_table, log.lidars[std::size_t(sensor.lidar)].sensor.beams);
     rays->record_measure(stream, renderer.last_batch(),
                          {.range = config.render.range,
-                          .beams = sensor.beams,
+                          .beams = beams,
                           .response = log.intensity_response,
                           .limits = sensor.limits,
                           .min_weight = kMinWeight,
