@@ -21,9 +21,9 @@ enum class ChannelMergeRule {
     /// Beam: the sub-ray nearest to the beam axis, among those that hit the surface of
     /// the strongest return. Cell: the returned point nearest to the sensor.
     nearest,
-    /// Beam: the intensity-weighted mean of the sub-rays that hit the surface of the
-    /// strongest return. Cell: the distance of the nearest returned point from the image
-    /// origin.
+    /// Beam: the mean of the sub-rays that hit the surface of the strongest return,
+    /// weighted by their power. Cell: the distance of the nearest returned point from the
+    /// image origin.
     range,
     /// Beam: the sum over the sub-rays that hit the surface of the strongest return,
     /// divided by the number of all sub-rays. Cell: the nearest returned point.

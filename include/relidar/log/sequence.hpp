@@ -210,8 +210,9 @@ struct BoxTrack {
 struct IntensityResponse {
     /// Ranges in metres, ascending, of the factors. Empty: the factor is 1 at all ranges.
     std::vector<double> range_m;
-    std::vector<double> factor;  ///< [knots] factor, interpolated linearly
-    double incidence = 0.0;      ///< dependence on incidence: 0 none, 1 Lambert's cosine law
+    /// [knots] positive; between two knots, the factor is a power of the range.
+    std::vector<double> factor;
+    double incidence = 0.0;  ///< dependence on incidence: 0 none, 1 Lambert's cosine law
 
     double range_factor(double distance_m) const;  ///< uses the first or last factor outside the knots
     /// `incidence_cosine`: cosine of the angle between ray and normal

@@ -18,15 +18,16 @@ RELIDAR_PARAMS(MeasureRaysParams);
 
 const uint kBackgroundInstance = 0u;  // instance of the background
 
-/// Returns the factor of the intensity at a range, interpolated linearly in the response
-/// table. Outside the table, returns its first or last factor.
+/// Returns the factor of the intensity at a range. Between two entries of the response
+/// table, it is a power of the range. Outside the table, it is the first or last factor.
 float falloff_at(float range_m) {
     if (params.n_response == 0u) return 1.0;
     vec2 before = params.response.at[0];
     if (range_m < before.x) return before.y;
     for (uint k = 1u; k < params.n_response; ++k) {
         vec2 next = params.response.at[k];
-        if (range_m < next.x) return mix(before.y, next.y, (range_m - before.x) / (next.x - before.x));
+        if (range_m < next.x)
+            return before.y * pow(next.y / before.y, log(range_m / before.x) / log(next.x / before.x));
         before = next;
     }
     return before.y;

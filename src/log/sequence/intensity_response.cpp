@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates how intensities depend on range and incidence, and how the beams of a sensor
 // differ. Compares returns from the same places (small cells). Minimises by Gauss-Newton
-// the errors of this model, in which rho is piecewise linear:
+// the errors of this model, in which rho is a power of the range between two knots:
 //   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b
 // The albedos are eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T /
 // sum c^2. Here c is the derivative by the place's albedo. The model has two parts: range
@@ -22,13 +22,17 @@
 namespace relidar {
 namespace {
 
-// Ranges at which the intensity factor is fitted. It is linear between them.
+// Ranges at which the intensity factor is fitted. Between them, the factor is a power of
+// the range, which is exact if intensities are received powers.
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReferenceKnot = 3;  // index of the range at which the intensity factor is fixed to 1
 // Weight of the prior in this fit, as a number of returns. The prior keeps beams with few
 // returns similar to the mean beam. It also smooths the intensity factor over range.
 constexpr double kResponsePrior = 200.0;
-constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
+constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMaxIncidence = 0.95;
+// A log of received power has factors of (10 m / range)^2, from 25 at 2 m to 0.007 at
+// 120 m. The limits are beyond these factors.
+constexpr double kMinFactor = 0.001, kMaxFactor = 100.0;
 // The intensity model has two parts: range and incidence terms, and beam terms. A part is
 // used only if (RMS error with it / RMS error without it) is below this ratio.
 constexpr double kMaxErrorRatio = 0.95;
@@ -91,8 +95,8 @@ void fit_albedos(IntensityFit& model, const CellReturns& returns) {
     });
 }
 
-/// Indices of the variables of the linear system: intensity factor at each sampled range,
-/// incidence factor, then gain and offset of each beam.
+/// Indices of the variables of the linear system: logarithm of the intensity factor at
+/// each sampled range, incidence factor, then gain and offset of each beam.
 struct VariableIndices {
     static constexpr auto kIncidence = Eigen::Index(kKnots_m.size());
     FittedTerms parts;
@@ -118,12 +122,14 @@ std::pair<std::size_t, double> locate_range(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t knot = std::size_t(
         std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
-    return {knot, std::clamp((range_m - kKnots_m[knot]) / (kKnots_m[knot + 1] - kKnots_m[knot]), 0.0, 1.0)};
+    const double logarithm = std::log(range_m / kKnots_m[knot]);
+    return {knot, std::clamp(logarithm / std::log(kKnots_m[knot + 1] / kKnots_m[knot]), 0.0, 1.0)};
 }
 
 /// Returns the derivatives and the error of one return by the model
 ///   intensity = gain * albedo * rho * kappa + offset
-///   rho = (1 - s) factor[knot] + s factor[knot + 1],  kappa = 1 - incidence (1 - cosine)
+///   ln rho = (1 - s) ln factor[knot] + s ln factor[knot + 1],
+///   kappa = 1 - incidence (1 - cosine)
 /// where knot and s are the position of the range. Variables that are not fitted now have
 /// no derivative.
 JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variables,
@@ -141,9 +147,9 @@ JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& varia
         row.by[row.n++] = {variable, derivative};
     };
     if (variables.parts.shared) {
-        const auto factor = Eigen::Index(knot);  // variable k is the factor of knot k
-        append(factor, beam.gain * albedo * kappa * (1.0 - s));
-        append(factor + 1, beam.gain * albedo * kappa * s);
+        const auto factor = Eigen::Index(knot);  // variable k is the logarithm of factor k
+        append(factor, beam.gain * intensity_at_gain_1 * (1.0 - s));
+        append(factor + 1, beam.gain * intensity_at_gain_1 * s);
         append(VariableIndices::kIncidence, -beam.gain * albedo * rho * (1.0 - double(measured.cosine)));
     }
     if (variables.parts.beams) {
@@ -239,16 +245,16 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
     };
     const double prior =
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
+    const auto log_factor = [&](std::size_t k) { return std::log(model.shared.factor[k]); };
     // If the intensity factor over range is fitted (`shared`), a prior smooths it. It
-    // pulls the factor at range kKnots_m[k] towards linear interpolation between the
-    // factors k - 1 and k + 1. It matters only at ranges with few returns.
+    // pulls the factor at range kKnots_m[k] towards the power of the range that the
+    // factors k - 1 and k + 1 define. It matters only at ranges with few returns.
     for (std::size_t k = 1; indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
-        const double before_m = kKnots_m[k] - kKnots_m[k - 1], after_m = kKnots_m[k + 1] - kKnots_m[k];
-        const Eigen::Vector3d factors(model.shared.factor[k - 1], model.shared.factor[k],
-                                      model.shared.factor[k + 1]);
-        // bend . factors: interpolated minus actual factor k
-        const Eigen::Vector3d bend =
-            Eigen::Vector3d(after_m, -(before_m + after_m), before_m) / (before_m + after_m);
+        const double before = std::log(kKnots_m[k] / kKnots_m[k - 1]),
+                     after = std::log(kKnots_m[k + 1] / kKnots_m[k]);
+        const Eigen::Vector3d factors(log_factor(k - 1), log_factor(k), log_factor(k + 1));
+        // bend . factors: interpolated minus actual logarithm of factor k
+        const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after);
         const auto first = Eigen::Index(k - 1);
         equations.h.block<3, 3>(first, first) += prior * bend * bend.transpose();
         equations.g.segment<3>(first) -= prior * bend * bend.dot(factors);
@@ -256,9 +262,8 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
     if (indices.parts.shared) {
         // Doubling all albedos and halving all range factors gives the same intensities.
         // Therefore the range factor is fixed to 1 at one range.
-        pull(kReferenceKnot, 1e3 * prior, 1.0 - model.shared.factor[kReferenceKnot]);
-        for (std::size_t k = 0; k < kKnots_m.size(); ++k)
-            pull(Eigen::Index(k), 1e-3 * prior, 1.0 - model.shared.factor[k]);
+        pull(kReferenceKnot, 1e3 * prior, -log_factor(kReferenceKnot));
+        for (std::size_t k = 0; k < kKnots_m.size(); ++k) pull(Eigen::Index(k), 1e-6 * prior, -log_factor(k));
         pull(VariableIndices::kIncidence, 1e-3 * prior, -model.shared.incidence);
     }
     for (std::size_t b = 0; indices.parts.beams && b < model.beams.size(); ++b)
@@ -281,8 +286,11 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
 void apply_step(IntensityFit& model, const VariableIndices& variable_indices, const Eigen::VectorXd& step) {
     IntensityResponse& shared = model.shared;
     if (variable_indices.parts.shared) {
-        for (std::size_t k = 0; k < shared.factor.size(); ++k)
-            shared.factor[k] = std::clamp(shared.factor[k] + step[Eigen::Index(k)], kMinFactor, kMaxFactor);
+        for (std::size_t k = 0; k < shared.factor.size(); ++k) {
+            // Longer steps would overshoot, because the exponential is not linear.
+            const double log_step = std::clamp(step[Eigen::Index(k)], -1.0, 1.0);
+            shared.factor[k] = std::clamp(shared.factor[k] * std::exp(log_step), kMinFactor, kMaxFactor);
+        }
         shared.incidence =
             std::clamp(shared.incidence + step[VariableIndices::kIncidence], 0.0, kMaxIncidence);
     }
@@ -372,8 +380,9 @@ double IntensityResponse::range_factor(double distance_m) const {
     if (after == range_m.begin()) return factor.front();
     if (after == range_m.end()) return factor.back();
     const auto right = std::size_t(after - range_m.begin());
-    const double s = (distance_m - range_m[right - 1]) / (range_m[right] - range_m[right - 1]);
-    return (1.0 - s) * factor[right - 1] + s * factor[right];
+    const double s =
+        std::log(distance_m / range_m[right - 1]) / std::log(range_m[right] / range_m[right - 1]);
+    return factor[right - 1] * std::pow(factor[right] / factor[right - 1], s);
 }
 
 IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<int>& frames) {

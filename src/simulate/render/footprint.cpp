@@ -5,22 +5,24 @@
 #include <numeric>
 
 #include "simulate/render/channel_pairs.hpp"
+#include "simulate/weather/air.hpp"
 
 namespace relidar {
 namespace {
 
-// Minimum weight of a sub-ray in means, which are weighted by intensity. Without it, a
-// group of black sub-rays would have a total weight of 0.
+// Minimum intensity of a sub-ray when its power is computed. Without it, a group of black
+// sub-rays would have a power of 0, which cannot weight means.
 constexpr float kMinIntensity = 1e-3f;
 
 struct SubRayHit {
     std::size_t index = 0;  ///< of the sub-ray in its scan
     float range_m = 0.0f;
     glm::dvec2 offset{0.0};  ///< of the sub-ray from the axis of the beam, see spread_sub_rays()
+    double power = 1.0;      ///< received power as by power_of(), if the sub-ray were a beam
 };
 struct SubRayReturn {
     std::vector<SubRayHit> parts;  ///< sorted by range
-    float light = 0.0f;            ///< sum of the intensities
+    double power = 0.0;            ///< sum over the parts
 };
 
 /// Returns true if at least five sub-rays hit the same plane. Fits 1 / range by least
@@ -57,7 +59,7 @@ void join_coplanar(std::vector<SubRayReturn>& groups, double tolerance_m) {
             SubRayReturn joined;
             for (std::size_t g = begin; g < begin + length; ++g) {
                 joined.parts.insert(joined.parts.end(), groups[g].parts.begin(), groups[g].parts.end());
-                joined.light += groups[g].light;
+                joined.power += groups[g].power;
             }
             if (!is_coplanar(joined.parts, tolerance_m)) continue;
             groups[begin] = std::move(joined);
@@ -71,12 +73,16 @@ void join_coplanar(std::vector<SubRayReturn>& groups, double tolerance_m) {
 /// without a gap of `separation_m` between their sorted ranges, or on the same plane.
 /// @param first index of the first sub-ray of the beam
 std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t first,
-                                         const std::vector<glm::dvec2>& offsets, float separation_m) {
+                                         const std::vector<glm::dvec2>& offsets, float separation_m,
+                                         const IntensityResponse& response) {
     std::vector<SubRayHit> hits;
     for (std::size_t k = 0; k < offsets.size(); ++k) {
         const std::size_t i = first + k;
-        if (is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i]))
-            hits.push_back({i, scan.median_range_m[i], offsets[k]});
+        const float range_m = scan.median_range_m[i];
+        if (!is_ray_returned(scan.image.drop_prob[i], range_m)) continue;
+        const LidarEcho echo =
+            surface_echo(range_m, std::max(scan.image.intensity[i], kMinIntensity), response);
+        hits.push_back({i, range_m, offsets[k], power_of(echo)});
     }
     std::ranges::stable_sort(hits, {}, &SubRayHit::range_m);
     std::vector<SubRayReturn> groups;
@@ -84,18 +90,17 @@ std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t f
         if (groups.empty() || hit.range_m - groups.back().parts.back().range_m >= separation_m)
             groups.emplace_back();
         groups.back().parts.push_back(hit);
-        groups.back().light += std::max(scan.image.intensity[hit.index], kMinIntensity);
+        groups.back().power += hit.power;
     }
     join_coplanar(groups, 0.5 * double(separation_m));
     return groups;
 }
 
-/// Returns the mean of `values` over a group, weighted by the intensities.
-float weighted_mean(const SubRayReturn& group, const std::vector<float>& values, const RenderedScan& scan) {
+/// Returns the mean of `values` over a group, weighted by the received power.
+float weighted_mean(const SubRayReturn& group, const std::vector<float>& values) {
     double sum = 0.0;
-    for (const SubRayHit& hit : group.parts)
-        sum += double(std::max(scan.image.intensity[hit.index], kMinIntensity)) * double(values[hit.index]);
-    return static_cast<float>(sum / double(group.light));
+    for (const SubRayHit& hit : group.parts) sum += hit.power * double(values[hit.index]);
+    return static_cast<float>(sum / group.power);
 }
 
 float sum_over_group(const SubRayReturn& group, const std::vector<float>& values) {
@@ -104,20 +109,13 @@ float sum_over_group(const SubRayReturn& group, const std::vector<float>& values
     return sum;
 }
 
-/// Returns the group that is the second return of a beam: the last one, or the second
-/// strongest if the last is the strongest.
-/// @param groups at least two groups of the beam, sorted by range
-const SubRayReturn& second_group(const std::vector<SubRayReturn>& groups, const SubRayReturn& strongest) {
-    if (&strongest != &groups.back()) return groups.back();
-    return *std::ranges::max_element(groups.begin(), groups.end() - 1, {}, &SubRayReturn::light);
-}
-
 /// Joins the sub-rays of each beam to one ray with up to two returns.
 class SubRayMerger {
 public:
     SubRayMerger(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config,
-                 const WeatherSensorProperties& sensor)
+                 const IntensityResponse& response, const WeatherSensorProperties& sensor)
         : parts_(parts),
+          response_(response),
           sensor_(sensor),
           offsets_(spread_sub_rays(config.sub_rays)),
           config_(config),
@@ -130,14 +128,14 @@ public:
     void append_beam(std::size_t beam) {
         const int n = config_.sub_rays;
         const std::size_t first = beam * std::size_t(n);
-        const std::vector<SubRayReturn> groups =
-            group_sub_rays(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
+        const std::vector<SubRayReturn> groups = group_sub_rays(
+            parts_, first, offsets_, static_cast<float>(config_.return_separation_m), response_);
         // If no sub-ray returns, the beam gets the values of its central sub-ray.
-        const SubRayReturn middle{{{.index = first}}, std::max(parts_.image.intensity[first], kMinIntensity)};
+        const SubRayReturn middle{{{.index = first}}, 1.0};
         const SubRayReturn& strongest =
-            groups.empty() ? middle : *std::ranges::max_element(groups, {}, &SubRayReturn::light);
+            groups.empty() ? middle : *std::ranges::max_element(groups, {}, &SubRayReturn::power);
         // The surface at the joined range gives the instance and the other values.
-        const float joined_m = weighted_mean(strongest, parts_.median_range_m, parts_);
+        const float joined_m = weighted_mean(strongest, parts_.median_range_m);
         const auto distance_to_joined = [&](const SubRayHit& hit) {
             // Of equal ranges, the part nearest to the centre is used. Parts are ordered
             // from the centre outwards.
@@ -149,8 +147,7 @@ public:
             T value = of_parts[nearest];
             if constexpr (std::is_same_v<T, float>) {
                 const auto begin = of_parts.begin() + std::ptrdiff_t(first);
-                if (channel.join == ChannelMergeRule::range)
-                    value = weighted_mean(strongest, of_parts, parts_);
+                if (channel.join == ChannelMergeRule::range) value = weighted_mean(strongest, of_parts);
                 if (channel.join == ChannelMergeRule::drop)
                     value = std::accumulate(begin, begin + n, 0.0f) / float(n);
                 if (channel.join == ChannelMergeRule::intensity && !groups.empty())
@@ -166,26 +163,40 @@ public:
 
 private:
     const RenderedScan& parts_;
+    const IntensityResponse& response_;
     const WeatherSensorProperties& sensor_;
     const std::vector<glm::dvec2> offsets_;
     const SensorConfig& config_;
     RenderedScan scan_;
 
+    bool is_detected(const SubRayReturn& group) const {
+        const double range_m = weighted_mean(group, parts_.median_range_m);
+        return group.power / config_.sub_rays >= sensor_.min_power_at(range_m);
+    }
+
+    /// Returns the group that is the second return of a beam: the last one, or the second
+    /// strongest if the last is the strongest. Ignores groups that the sensor does not
+    /// detect. Returns null if no group remains.
+    /// @param groups groups of the beam, sorted by range
+    const SubRayReturn* find_second(const std::vector<SubRayReturn>& groups,
+                                    const SubRayReturn& strongest) const {
+        const SubRayReturn* second = nullptr;
+        for (const SubRayReturn& group : groups) {
+            if (&group == &strongest || !is_detected(group)) continue;
+            const bool is_behind = &group > &strongest;
+            if (!second || is_behind || group.power > second->power) second = &group;
+        }
+        return second;
+    }
+
     /// Appends the second return of the beam that was appended last, or 0 if it has none.
     void append_second(const std::vector<SubRayReturn>& groups, const SubRayReturn& strongest) {
-        const int n = config_.sub_rays;
         const bool returns = is_ray_returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
-        float second_m = 0.0f, intensity = 0.0f;
-        if (returns && groups.size() > 1) {
-            const SubRayReturn& second = second_group(groups, strongest);
-            const float range_m = weighted_mean(second, parts_.median_range_m, parts_);
-            if (double(second.light) / n >= sensor_.min_power_at(range_m) * range_m * range_m) {
-                second_m = range_m;
-                intensity = sum_over_group(second, parts_.image.intensity) / static_cast<float>(n);
-            }
-        }
-        scan_.second_returns[0].range_m.push_back(second_m);
-        scan_.second_returns[0].intensity.push_back(intensity);
+        const SubRayReturn* second = returns ? find_second(groups, strongest) : nullptr;
+        const auto n = static_cast<float>(config_.sub_rays);
+        AdditionalReturns& returned = scan_.second_returns[0];
+        returned.range_m.push_back(second ? weighted_mean(*second, parts_.median_range_m) : 0.0f);
+        returned.intensity.push_back(second ? sum_over_group(*second, parts_.image.intensity) / n : 0.0f);
     }
 };
 
@@ -217,8 +228,8 @@ RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergenc
 }
 
 RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config,
-                           const WeatherSensorProperties& sensor) {
-    SubRayMerger joiner(parts, beams, config, sensor);
+                           const IntensityResponse& response, const WeatherSensorProperties& sensor) {
+    SubRayMerger joiner(parts, beams, config, response, sensor);
     for (std::size_t ray = 0; ray < beams.size(); ++ray) joiner.append_beam(ray);
     return joiner.joined_scan();
 }
@@ -229,7 +240,7 @@ RayIndices find_edge_beams(const RenderedScan& parts, const RayTable& beams, con
     RayIndices edges;
     for (std::size_t beam = 0; beam < beams.size(); ++beam) {
         const std::size_t first = beam * offsets.size();  // the sub-rays of a beam are consecutive
-        if (group_sub_rays(parts, first, offsets, separation_m).size() > 1) edges.push_back(beam);
+        if (group_sub_rays(parts, first, offsets, separation_m, {}).size() > 1) edges.push_back(beam);
     }
     return edges;
 }

@@ -3,6 +3,7 @@
 // their hits to returns like the receiver of a LiDAR. Private to render.
 #pragma once
 
+#include <relidar/log/sequence.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {
@@ -18,16 +19,19 @@ RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergenc
 
 /// Joins the returns of sub-rays to the returns of the beams. Hits form a group if they
 /// lie on the same plane, or have gaps below config.return_separation_m in range. Each
-/// group forms one return, with the mean range, weighted by intensity, and the sum of
-/// intensities divided by the number of all sub-rays.
+/// group forms one return, with the mean range, weighted by received power, and the sum
+/// of intensities divided by the number of all sub-rays.
 ///
-/// The strongest group is the return of the beam. If config.returns is 2, the last
-/// group is the second return if the sensor can detect it (the second strongest if the
-/// last is the strongest). The drop probability is the mean over the sub-rays. Weight,
-/// normal and instance are copied from a sub-ray near the joined range.
+/// The group with the largest received power (the sum of reflectivity / range^2) is the
+/// return of the beam. If config.returns is 2, the last of the groups that the sensor can
+/// detect is the second return (the second strongest if the last is the strongest). The
+/// drop probability is the mean over the sub-rays. Weight, normal and instance are copied
+/// from a sub-ray near the joined range.
 /// @param parts scan of split_rays(rays, config.sub_rays, ...)
+/// @param response converts intensities to reflectivities
 /// @param sensor limits of detection
 RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config,
+                           const IntensityResponse& response = {},
                            const WeatherSensorProperties& sensor = {});
 
 /// Sub-rays of a beam that hits several surfaces. With only nine, one sub-ray could cause

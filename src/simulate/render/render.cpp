@@ -72,6 +72,15 @@ void replace_drop(RenderedScan& scan, std::span<const float> network_drop_probab
         if (drop_prob[i] < 1.0f) drop_prob[i] = network_drop_probabilities[i];
 }
 
+/// Removes the second returns of dropped beams. Network and range limits drop beams after
+/// their sub-rays were joined.
+void drop_second_returns(RenderedScan& scan) {
+    for (AdditionalReturns& second : scan.second_returns)
+        for (std::size_t i = 0; i < second.range_m.size(); ++i)
+            if (!is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i]))
+                second.range_m[i] = second.intensity[i] = 0.0f;
+}
+
 /// Returns the properties of a sensor that determine how weather affects its scans.
 /// Powers are relative: a surface returns its reflectivity / range^2.
 /// @param rays rays of the sensor, which define the beam divergence
@@ -185,9 +194,12 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(RenderLane& l
     });
     rays->place(stream, sweep.world_from_sensor, sweep.time_s);
     renderer.record_forward(rays->world_batch());
+    const std::vector<Beam> beams =
+        sensor.is_log_lidar ? sensor.beams
+                            : mean_responses(ray_table, log.lidars[std::size_t(sensor.lidar)].sensor.beams);
     rays->record_measure(stream, renderer.last_batch(),
                          {.range = config.render.range,
-                          .beams = sensor.beams,
+                          .beams = beams,
                           .response = log.intensity_response,
                           .limits = sensor.limits,
                           .min_weight = kMinWeight,
@@ -240,16 +252,17 @@ RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, co
         return trace_rays(sweep, split, plan.network).scan;
     };
     const WeatherSensorProperties detection =
-        weather_properties(config, rays, sweep.sensor.limits, sweep.sensor.name);
+        weather_properties(config, rays, sweeps.limits_of(sweep.sensor), sweep.sensor.name);
     const RenderedScan parts = trace_parts(rays, plan.beams.sub_rays);
-    RenderedScan scan = join_sub_rays(parts, rays, plan.beams, detection);
+    const IntensityResponse& response = sweeps.sequence().intensity_response;
+    RenderedScan scan = join_sub_rays(parts, rays, plan.beams, response, detection);
     const std::vector<std::size_t> edges = find_edge_beams(parts, rays, plan.beams);
     if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
         SensorConfig edge_config = plan.beams;
         edge_config.sub_rays = kEdgeParts;
         const RayTable edge_rays = select_rays(rays, edges);
         const RenderedScan edge_parts = trace_parts(edge_rays, kEdgeParts);
-        replace_rays(scan, edges, join_sub_rays(edge_parts, edge_rays, edge_config, detection));
+        replace_rays(scan, edges, join_sub_rays(edge_parts, edge_rays, edge_config, response, detection));
     }
     // The sensor does not report beams whose joined range is outside its limits.
     const RangeLimits& limits = sweep.sensor.limits;
@@ -335,6 +348,8 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     if (!has_channel(kIncidenceChannel))
         std::erase_if(scan.channels,
                       [](const ScanChannel& channel) { return channel.info.name == kIncidenceChannel; });
+    // Noise draws drops from the probabilities, so it also returns some of these beams.
+    if (!seed) drop_second_returns(scan);
     apply_noise(scan, sweep, seed);
     block_rays(scan, sensor.body, sensor.limits);  // removes noise from points of the body
     if (sensor.grid && plan.network != Network::cells) scan = project_scan(scan, *sensor.grid);

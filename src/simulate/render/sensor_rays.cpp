@@ -3,6 +3,8 @@
 // compute world rays, measurements, and the inputs of ray-drop networks.
 #include "simulate/render/sensor_rays.hpp"
 
+#include <algorithm>
+#include <cmath>
 #include <cstring>
 
 #include "base/fail.hpp"
@@ -70,6 +72,36 @@ std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& names
     std::vector<std::uint32_t> result;
     for (const std::string& name : names) result.push_back(channel_number(name));
     return result;
+}
+
+std::vector<Beam> mean_responses(const RayTable& rays, const std::vector<Beam>& log_beams) {
+    constexpr std::size_t kNearBeams = 8;  // so many that a single unusual laser has little effect
+    if (log_beams.empty()) return {};
+    struct HeightSum {
+        double z = 0.0, n = 0.0;  // z components of the directions, number of rays
+    };
+    std::vector<HeightSum> heights;  // [channels]
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        if (rays.channel[i] >= heights.size()) heights.resize(rays.channel[i] + 1u);
+        heights[rays.channel[i]].z += double(rays.direction[i].z);
+        heights[rays.channel[i]].n += 1.0;
+    }
+    std::vector<Beam> responses;
+    std::vector<Beam> nearest = log_beams;
+    for (const HeightSum& height : heights) {
+        const double elevation_rad = height.n > 0.0 ? std::asin(height.z / height.n) : 0.0;
+        const auto distance_rad = [&](const Beam& beam) {
+            return std::pair(std::abs(beam.elevation_rad - elevation_rad), beam.elevation_rad);
+        };
+        const std::size_t n = std::min(kNearBeams, nearest.size());
+        std::ranges::partial_sort(nearest, nearest.begin() + std::ptrdiff_t(n), {}, distance_rad);
+        Beam& mean = responses.emplace_back(Beam{.intensity_gain = 0.0});
+        for (std::size_t k = 0; k < n; ++k) {
+            mean.intensity_gain += nearest[k].intensity_gain / double(n);
+            mean.intensity_offset += nearest[k].intensity_offset / double(n);
+        }
+    }
+    return responses;
 }
 
 /// Returns the poses of a sensor during a sweep in the format of the kernels, from one

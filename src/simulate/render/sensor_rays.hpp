@@ -31,6 +31,14 @@ struct ScanMeasurements {
     std::span<const float> network_drops;  ///< drop probabilities; empty if no network ran
 };
 
+/// Returns the intensity response of each channel of a sensor that is not of the log:
+/// mean gain and offset of the beams of the log's LiDAR whose elevations are nearest to
+/// the channel. Its own response is unknown. Gains and offsets of neighbouring beams have
+/// a common part, for example because they hit the ground at similar ranges, which the
+/// intensities of the scene lack.
+/// @param log_beams if empty, the result is empty, too
+std::vector<Beam> mean_responses(const RayTable& rays, const std::vector<Beam>& log_beams);
+
 class DeviceSensorRays {
 public:
     explicit DeviceSensorRays(Device& device);

@@ -19,12 +19,16 @@ constexpr double kBrightestUnknownSurface = 4.0;
 // of the air. The value is an assumption.
 constexpr double kSecondReturnShare = 0.1;
 
+constexpr double kUnlimited = std::numeric_limits<double>::infinity();
+
 /// Returns true if a candidate can be the second return. If both returns are of surfaces,
-/// the power that the sensor detects is enough.
-bool is_bright_enough(const EchoCandidate& candidate, const EchoCandidate& strongest) {
-    const bool are_surfaces =
-        candidate.echo.source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface;
-    return are_surfaces || power_of(candidate.echo) >= kSecondReturnShare * strongest.power;
+/// the sensor has separated them in clear air, and the power that it detects is enough.
+/// @param separation_m minimum distance from the strongest return
+bool can_be_second(const EchoCandidate& candidate, const EchoCandidate& strongest, double separation_m) {
+    const double distance_m = std::abs(candidate.echo.range_m - strongest.echo.range_m);
+    if (candidate.echo.source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface)
+        return distance_m > 0.0;
+    return distance_m >= separation_m && power_of(candidate.echo) >= kSecondReturnShare * strongest.power;
 }
 
 /// Returns the second return of a dual-return sensor. This is the last return, or the
@@ -33,8 +37,7 @@ bool is_bright_enough(const EchoCandidate& candidate, const EchoCandidate& stron
 LidarEcho select_second(EchoCandidates echoes, const EchoCandidate& strongest, double separation_m) {
     const double strongest_m = strongest.echo.range_m;
     std::erase_if(echoes, [&](const EchoCandidate& candidate) {
-        return std::abs(candidate.echo.range_m - strongest_m) < separation_m ||
-               !is_bright_enough(candidate, strongest);
+        return !can_be_second(candidate, strongest, separation_m);
     });
     if (echoes.empty()) return {};
     const auto range_of = [](const EchoCandidate& candidate) { return candidate.echo.range_m; };
@@ -134,8 +137,7 @@ private:
 
     LidarEcho surface_echo_of(float range_m, float intensity) const {
         if (!(range_m > 0.0f)) return {};
-        return {double(range_m), double(intensity) / input_.response.range_factor(double(range_m)),
-                ReturnCause::surface};
+        return surface_echo(range_m, intensity, input_.response);
     }
     float reported_intensity(const LidarEcho& echo) const {
         return std::min(static_cast<float>(echo.reflectivity * input_.response.range_factor(echo.range_m)),
@@ -202,13 +204,20 @@ double WeatherRaySimulator::sample_albedo(const LidarEcho& surface, Random& rand
 
 /// Adds the return of a surface if it is still detected. Its light passes the air twice.
 /// @param brightness brightness of the wet ground relative to the dry ground
-void WeatherRaySimulator::append_surface(EchoCandidates& echoes, LidarEcho echo, double brightness,
-                                         Random& random) const {
-    if (echo.source == ReturnCause::nothing) return;
+/// @param max_power upper limit of the power in clear air that is compared with other
+/// returns. A power above the limit counts as much below it, because any weather would
+/// decide between equal powers.
+/// @return the power in clear air; infinite if the ray hits no surface
+double WeatherRaySimulator::append_surface(EchoCandidates& echoes, LidarEcho echo, double brightness,
+                                           double max_power, Random& random) const {
+    if (echo.source == ReturnCause::nothing) return kUnlimited;
     const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * brightness;
-    const double power = sample_albedo(echo, random) * transmission / (echo.range_m * echo.range_m);
+    const double power = sample_albedo(echo, random) / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
-    if (power >= sensor_.min_power_at(echo.range_m)) echoes.push_back({echo, power});
+    const double compared = power > max_power ? max_power * max_power / power : power;
+    if (power * transmission >= sensor_.min_power_at(echo.range_m))
+        echoes.push_back({echo, compared * transmission});
+    return power;
 }
 
 void append_detectable(EchoCandidates& echoes, LidarEcho echo, const WeatherSensorProperties& sensor,
@@ -229,8 +238,10 @@ EchoPair WeatherRaySimulator::echoes_of_ray(RayWeatherState ray, std::uint64_t s
     // All effects draw from one generator, so their order determines the result.
     for (const auto& effect : effects_) effect->modify_surface(ray);
     constexpr double kDry = 1.0;  // the second surface is not darkened by water
-    append_surface(candidates, ray.strongest, ray.through_water, random);
-    append_surface(candidates, ray.second, kDry, random);
+    const double power = append_surface(candidates, ray.strongest, ray.through_water, kUnlimited, random);
+    // In clear air, the second surface is the weaker one. Noise of the intensities and
+    // unknown brightnesses must not change that.
+    append_surface(candidates, ray.second, kDry, power, random);
     for (const auto& effect : effects_) effect->append_returns(candidates, ray, random);
     if (candidates.empty()) return {};
     const EchoCandidate strongest = *std::ranges::max_element(candidates, {}, &EchoCandidate::power);

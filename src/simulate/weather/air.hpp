@@ -22,6 +22,11 @@ inline double pulse_length_m(const WeatherSensorProperties& sensor) { return kLi
 inline double beam_width_m(const WeatherSensorProperties& sensor, double range_m) {
     return sensor.aperture_m + sensor.divergence_rad * range_m;
 }
+/// Returns the echo of a surface in clear air.
+/// @param response converts the intensity to the reflectivity of the surface
+inline LidarEcho surface_echo(double range_m, double intensity, const IntensityResponse& response) {
+    return {range_m, intensity / response.range_factor(range_m), ReturnCause::surface};
+}
 /// Returns the received power, relative to that of a surface with reflectivity 1 at 1 m.
 inline double power_of(const LidarEcho& echo) { return echo.reflectivity / (echo.range_m * echo.range_m); }
 
@@ -75,7 +80,8 @@ public:
                         std::vector<std::unique_ptr<RayWeatherEffect>> effects);
     /// Computes the strongest and the second return that the sensor measures along a ray.
     /// The second return is the last one, or the second strongest if the last is the
-    /// strongest. Leaves out returns below the detection threshold.
+    /// strongest. Leaves out returns below the detection threshold. Without any weather,
+    /// these are the returns of the clear air.
     EchoPair echoes_of_ray(RayWeatherState ray, std::uint64_t seed) const;
 
 private:
@@ -84,7 +90,8 @@ private:
     std::vector<std::unique_ptr<RayWeatherEffect>> effects_;
 
     double sample_albedo(const LidarEcho& surface, Random& random) const;
-    void append_surface(EchoCandidates& candidates, LidarEcho echo, double brightness, Random& random) const;
+    double append_surface(EchoCandidates& candidates, LidarEcho echo, double brightness, double max_power,
+                          Random& random) const;
 };
 
 /// Adds a return if its power reaches the detection limit.

@@ -133,6 +133,20 @@ TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
     expect_the_streets_fall(sequence.intensity_response, 0.04);
 }
 
+/// Intensities are reflectance * (0.3 + 0.7 cos) * 0.3 (10 m / range)^2, limited by the
+/// noise of the receiver only.
+TEST(IntensityResponse, FollowsReceivedPowerDownToTheWeakestReturns) {
+    Log sequence = street();
+    const auto power = [](double range_m) { return 100.0 / (range_m * range_m); };
+    for (Frame& frame : sequence.frames)
+        for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
+            if (const double range_m = frame.scan.range_m[i]; range_m > 0.0)
+                frame.scan.intensity[i] *= float(0.3 * power(range_m) / (1.0 - range_m / 160.0));
+    calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    for (const double range_m : {4.0, 7.0, 15.0, 20.0, 30.0, 45.0, 60.0})
+        EXPECT_NEAR(sequence.intensity_response.range_factor(range_m) / power(range_m), 1.0, 0.1) << range_m;
+}
+
 TEST(IntensityResponse, FallAndLasersAreToldApart) {
     Log sequence = street();
     std::vector<double> gains;
@@ -181,7 +195,7 @@ TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
                     double(frame.scan.intensity[i]), 1e-6);
     }
     const float original_intensity = surface_return(sequence, frame, 3).intensity;
-    sequence.intensity_response = {{0.0, 100.0}, {0.5, 0.5}, 0.0};
+    sequence.intensity_response = {{1.0, 100.0}, {0.5, 0.5}, 0.0};
     EXPECT_NEAR(surface_return(sequence, frame, 3).intensity, 2.0f * original_intensity, 1e-6f)
         << "what falls to half was twice as bright";
 }

@@ -8,6 +8,8 @@
 
 #include <gtest/gtest.h>
 
+#include "base/random.hpp"
+
 namespace relidar {
 namespace {
 
@@ -121,22 +123,32 @@ RenderedScan scan_of(const std::vector<Part>& parts) {
 }
 
 RenderedScan joined(const std::vector<Part>& parts, SensorConfig config = {},
-                    const WeatherSensorProperties& sensor = {}) {
+                    const WeatherSensorProperties& sensor = {}, const IntensityResponse& response = {}) {
     config.sub_rays = static_cast<int>(parts.size());
     config.returns = 2;
-    return join_sub_rays(scan_of(parts), make_one_ray({1, 0, 0}), config, sensor);
+    return join_sub_rays(scan_of(parts), make_one_ray({1, 0, 0}), config, response, sensor);
+}
+
+/// Mean of ranges, weighted by intensity / range^2.
+double mean_by_power_m(const std::vector<Part>& parts) {
+    double sum = 0.0, power = 0.0;
+    for (const auto& [range_m, intensity, drop, spread_m] : parts) {
+        sum += intensity / range_m;
+        power += intensity / range_m / range_m;
+    }
+    return sum / power;
 }
 
 constexpr float kTolerance = 1e-6f;
 
-TEST(Footprint, PartsOnOneSurfaceAreOneReturnOfTheirMeanWeighedByLight) {
-    const RenderedScan scan = joined({{10.0f, 0.2f, 0.1f},
-                                      {10.1f, 0.2f, 0.1f},
-                                      {10.2f, 0.4f, 0.1f},
-                                      {10.3f, 0.1f, 0.1f},
-                                      {10.4f, 0.1f, 0.1f}});
-    EXPECT_NEAR(scan.image.range_m[0],
-                (10.0f * 0.2f + 10.1f * 0.2f + 10.2f * 0.4f + 10.3f * 0.1f + 10.4f * 0.1f), 1e-5f);
+TEST(Footprint, PartsOnOneSurfaceAreOneReturnOfTheirMeanWeighedByPower) {
+    const std::vector<Part> parts{{10.0f, 0.2f, 0.1f},
+                                  {10.1f, 0.2f, 0.1f},
+                                  {10.2f, 0.4f, 0.1f},
+                                  {10.3f, 0.1f, 0.1f},
+                                  {10.4f, 0.1f, 0.1f}};
+    const RenderedScan scan = joined(parts);
+    EXPECT_NEAR(scan.image.range_m[0], mean_by_power_m(parts), 1e-5);
     EXPECT_NEAR(scan.image.intensity[0], 0.2f, kTolerance);
     EXPECT_NEAR(scan.image.drop_prob[0], 0.1f, kTolerance);
     EXPECT_EQ(scan.second_returns[0].range_m[0], 0.0f)
@@ -146,9 +158,9 @@ TEST(Footprint, PartsOnOneSurfaceAreOneReturnOfTheirMeanWeighedByLight) {
 
 TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     const RenderedScan scan = joined({{30.0f, 0.3f, 0.0f, 0.5f},
-                                      {10.0f, 0.2f, 0.0f, 4.0f},
+                                      {10.0f, 0.04f, 0.0f, 4.0f},
                                       {30.0f, 0.3f, 0.0f, 0.25f},
-                                      {10.0f, 0.2f, 0.0f, 4.0f},
+                                      {10.0f, 0.04f, 0.0f, 4.0f},
                                       {30.0f, 0.3f, 0.0f, 0.0f}});
     EXPECT_NEAR(range_spread(scan)[0], 0.25f, 1e-5f) << "of the return's own parts";
     EXPECT_NEAR(scan.median_range_m[0], 30.0f, 1e-5f);
@@ -156,17 +168,53 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_EQ(scan.instance[0], 0) << "of the part nearest to the middle";
     EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 1e-5f)
         << "the strongest is the last: the next strongest is the second";
-    EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kTolerance);
+    EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.04f / 5, kTolerance);
 }
 
-/// Parts without a gap of 0.5 m are one return. Its mean range, 10.8 m, lies on part 2.
+/// The power of a surface is share * reflectivity / range^2. The log's intensities are
+/// brighter than that by the response.
+TEST(Footprint, TheStrongestReturnHasTheLargestPower) {
+    const IntensityResponse response{{1.0, 10.0, 80.0}, {0.5, 1.0, 0.125}, 0.0};
+    const WeatherSensorProperties sensitive{.darkest = 0.0};
+    Random random(11);
+    int n_far = 0, n_unlike_light = 0;
+    for (int beam = 0; beam < 300; ++beam) {
+        const int n_near = 1 + int(random.sample_uniform() * 8.0);
+        const double near_m = random.sample_uniform(2.0, 30.0),
+                     far_m = near_m * random.sample_uniform(1.3, 4.0),
+                     near_reflectivity = random.sample_uniform(0.01, 0.5),
+                     far_reflectivity = random.sample_uniform(0.01, 0.5),
+                     near_intensity = near_reflectivity * response.range_factor(near_m),
+                     far_intensity = far_reflectivity * response.range_factor(far_m);
+        std::vector<Part> parts;
+        for (int k = 0; k < 9; ++k) {
+            const bool is_near = k < n_near;
+            parts.push_back(
+                {float(is_near ? near_m : far_m), float(is_near ? near_intensity : far_intensity), 0.0f});
+        }
+        const double near_power = n_near * near_reflectivity / (near_m * near_m),
+                     far_power = (9 - n_near) * far_reflectivity / (far_m * far_m);
+        const bool is_far = far_power > near_power;
+        const RenderedScan scan = joined(parts, {}, sensitive, response);
+        EXPECT_NEAR(scan.median_range_m[0], is_far ? far_m : near_m, 1e-4) << beam;
+        EXPECT_NEAR(scan.second_returns[0].range_m[0], is_far ? near_m : far_m, 1e-4) << beam;
+        n_far += is_far;
+        n_unlike_light += is_far != ((9 - n_near) * far_intensity > n_near * near_intensity);
+    }
+    EXPECT_GT(n_far, 20);
+    EXPECT_GT(n_unlike_light, 40) << "the test distinguishes the two rules";
+}
+
+/// Parts without a gap of 0.5 m are one return. Its mean range, 10.7 m, is nearest to
+/// part 2.
 TEST(Footprint, AReturnHasTheInstanceOfTheSurfaceAtItsRange) {
-    const RenderedScan scan = joined({{10.0f, 0.3f, 0.0f},
-                                      {10.4f, 0.3f, 0.0f},
-                                      {10.85f, 0.3f, 0.0f},
-                                      {11.25f, 0.3f, 0.0f},
-                                      {11.5f, 0.3f, 0.0f}});
-    EXPECT_NEAR(scan.median_range_m[0], 10.8f, 1e-4f);
+    const std::vector<Part> parts{{10.0f, 0.3f, 0.0f},
+                                  {10.4f, 0.3f, 0.0f},
+                                  {10.85f, 0.3f, 0.0f},
+                                  {11.25f, 0.3f, 0.0f},
+                                  {11.5f, 0.3f, 0.0f}};
+    const RenderedScan scan = joined(parts);
+    EXPECT_NEAR(scan.median_range_m[0], mean_by_power_m(parts), 1e-4);
     EXPECT_EQ(scan.instance[0], 2);
 }
 
@@ -191,7 +239,7 @@ TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
 
 TEST(Footprint, TheLastOfThreeIsTheSecondReturn) {
     const std::vector<Part> parts{{20.0f, 0.5f, 0.0f},
-                                  {5.0f, 0.9f, 0.0f},
+                                  {5.0f, 0.05f, 0.0f},
                                   {20.0f, 0.5f, 0.0f},
                                   {40.0f, 0.1f, 0.0f},
                                   {20.0f, 0.5f, 0.0f}};
@@ -202,12 +250,13 @@ TEST(Footprint, TheLastOfThreeIsTheSecondReturn) {
     // surface of 0.02 that fills the beam.
     WeatherSensorProperties sensor;
     sensor.min_specified_power = 0.0201 / 1600.0;
-    EXPECT_EQ(joined(parts, {}, sensor).second_returns[0].range_m[0], 0.0f);
+    EXPECT_EQ(joined(parts, {}, sensor).second_returns[0].range_m[0], 5.0f) << "the last that is detected";
     sensor.min_specified_power = 0.0199 / 1600.0;
     EXPECT_EQ(joined(parts, {}, sensor).second_returns[0].range_m[0], 40.0f);
     SensorConfig coarse;
     coarse.return_separation_m = 16.0;
-    EXPECT_NEAR(joined(parts, coarse).median_range_m[0], (5 * 0.9f + 20 * 1.5f) / 2.4f, 1e-4f)
+    EXPECT_NEAR(joined(parts, coarse).median_range_m[0],
+                mean_by_power_m({parts[0], parts[1], parts[2], parts[4]}), 1e-4)
         << "one return where pulses overlap";
 }
 

@@ -37,6 +37,24 @@ std::size_t find_ray_towards(const RayTable& rays, const glm::vec3& direction) {
     return best;
 }
 
+/// The wall has intensity 0.5. All lasers of the log measure 0.6 x 0.5 + 0.1.
+TEST_F(Render, OtherSensorsHaveTheResponseOfTheLasers) {
+    Log log = test::make_static_log({0.1, 0.0, -0.1}, 360);
+    for (Beam& beam : log.lidars[0].sensor.beams) beam.intensity_gain = 0.6, beam.intensity_offset = 0.1;
+    const Config config;
+    ScanRenderer renderer(device(), wrap_background(make_wall_ahead()), config, log);
+    for (const char* name : {"native", "VLP-16:300x10"}) {
+        const RenderedScan scan = renderer.render(choose_sensor(name, config, log), 0.0);
+        int n_hits = 0;
+        for (std::size_t i = 0; i < scan.instance.size(); ++i) {
+            if (scan.weight[i] < 0.9f) continue;
+            EXPECT_NEAR(scan.image.intensity[i], 0.6f * 0.5f * scan.weight[i] + 0.1f, 1e-4f) << name;
+            ++n_hits;
+        }
+        EXPECT_GT(n_hits, 3) << name;
+    }
+}
+
 /// @param value half of the strip's width divided by the disc's radius
 double compute_strip_share(double value) {
     return 2.0 / kPi * (std::asin(value) + value * std::sqrt(1.0 - value * value));

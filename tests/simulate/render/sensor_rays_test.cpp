@@ -184,6 +184,32 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     }
 }
 
+/// Gains of the log's beams increase with the elevation, and alternate by 0.2. The mean
+/// over neighbours has the increase, but not the alternation.
+TEST(MeanResponses, FollowTheBeamsOfSimilarElevation) {
+    std::vector<Beam> log_beams;
+    for (int k = 0; k < 40; ++k) {
+        const double elevation_rad = 0.1 - 0.01 * k, sign = k % 2 == 0 ? 1.0 : -1.0;
+        log_beams.push_back({.elevation_rad = elevation_rad,
+                             .intensity_gain = 1.0 + 2.0 * elevation_rad + 0.2 * sign,
+                             .intensity_offset = -elevation_rad + 0.1 * sign});
+    }
+    SpinningSensor other;
+    other.columns = 12;
+    const std::vector<double> elevations_rad{0.5, 0.02, -0.1, -0.165, -0.8};
+    for (const double elevation_rad : elevations_rad) other.beams.push_back({elevation_rad});
+    const std::vector<Beam> means = mean_responses(make_rays(other), log_beams);
+    ASSERT_EQ(means.size(), elevations_rad.size());
+    for (std::size_t k = 0; k < means.size(); ++k) {
+        // Beyond the log's beams, the response is that of the eight outer beams.
+        const double elevation_rad = std::clamp(elevations_rad[k], -0.29 + 0.035, 0.1 - 0.035);
+        EXPECT_NEAR(means[k].intensity_gain, 1.0 + 2.0 * elevation_rad, 0.011) << k;
+        EXPECT_NEAR(means[k].intensity_offset, -elevation_rad, 0.006) << k;
+        EXPECT_EQ(means[k].range_offset_m, 0.0);
+    }
+    EXPECT_TRUE(mean_responses(make_rays(other), {}).empty());
+}
+
 /// The sensor differs, or different rays have the same size.
 TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     RayTable rays = make_spinning_rays(16);

@@ -81,6 +81,49 @@ TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
     EXPECT_EQ(echoes.second.source, ReturnCause::nothing);
 }
 
+/// Without weather, the returns of a ray are those of clear air: the first is the
+/// stronger surface, even if noise has changed its intensity, or if both are black.
+TEST(Weather, ClearAirKeepsReturns) {
+    WeatherSensorProperties sensor = make_sensor_to(80.0);
+    sensor.weakest_reflectivity = 0.0025;
+    const WeatherRaySimulator air(Weather{}, sensor, {});
+    Random random(3);
+    for (std::uint64_t seed = 0; seed < 2000; ++seed) {
+        const auto sample_surface = [&] {
+            const double brightness = random.sample_uniform(-0.3, 0.5);
+            return surface_at(random.sample_uniform(2.0, 80.0), std::max(brightness, 0.0));
+        };
+        const LidarEcho first = sample_surface(), second = sample_surface();
+        const EchoPair pair = echoes(air, 80.0, seed, first, second);
+        EXPECT_EQ(pair.strongest.range_m, first.range_m);
+        EXPECT_EQ(pair.strongest.reflectivity, first.reflectivity);
+        EXPECT_EQ(pair.second.range_m, second.range_m);
+        EXPECT_EQ(pair.second.reflectivity, second.reflectivity);
+    }
+}
+
+/// Noise has made the first surface weaker than the second, which is nearer and so loses
+/// less light.
+TEST(Weather, ThinFogKeepsTheOrderOfReturns) {
+    const WeatherRaySimulator air = make_air_of({.fog_visibility_m = 1e6}, make_sensor_to(80.0));
+    const EchoPair pair = echoes(air, 50.0, 1, surface_at(50.0, 0.4), surface_at(20.0, 0.1));
+    EXPECT_EQ(pair.strongest.range_m, 50.0);
+    EXPECT_EQ(pair.second.range_m, 20.0);
+}
+
+/// In fog, the far surface loses a factor of exp(-2 alpha (40 m - 10 m)) more than the
+/// near surface. The order changes where this cancels the difference in clear air.
+TEST(Weather, FogPrefersTheNearerSurface) {
+    const Weather weather{.fog_visibility_m = 500.0};
+    const WeatherRaySimulator air = make_air_of(weather, make_sensor_to(80.0));
+    const double ratio = std::exp(-2.0 * extinction_per_m(weather) * 30.0);
+    for (const double excess : {0.97, 1.03}) {
+        // In clear air, the ratio of the far and the near power is excess / ratio.
+        const LidarEcho far = surface_at(40.0, 0.8), near = surface_at(10.0, 0.8 / 16.0 * ratio / excess);
+        EXPECT_EQ(echoes(air, 40.0, 1, far, near).strongest.range_m, excess > 1.0 ? 40.0 : 10.0);
+    }
+}
+
 /// The last return is the second return if it has a tenth of the power of the strongest.
 TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
     const WeatherSensorProperties sensor = make_sensor_to(80.0);
@@ -89,7 +132,7 @@ TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
     int behind = 0, hidden = 0, before = 0, alone = 0;
     for (std::uint64_t seed = 0; seed < 500; ++seed) {
         const EchoPair far_echoes = echoes_of(air, surface_at(20.0, 0.3), seed),
-                       near_echoes = echoes(air, 1.6, seed, surface_at(1.2, 0.9), surface_at(1.6, 0.9));
+                       near_echoes = echoes(air, 1.6, seed, surface_at(1.2, 0.9));
         if (far_echoes.strongest.source == ReturnCause::fog) {
             const bool is_seen = of_wall >= 0.1 * power_of(far_echoes.strongest);
             EXPECT_EQ(far_echoes.second.source == ReturnCause::surface, is_seen);
