@@ -29,7 +29,7 @@ LIBRARIES = {
     "bzlib.h": "read/bag", "proj.h": "log/sequence", "pcap/": "read/bag", "simdjson.h": "read/datasets",
     "protozero/": "read simulate/scan_files", "pugixml.hpp": "read", "toml++/": "log read run",
     "nlohmann/": "base log read run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",
-    "oneapi/tbb": "base", "Eigen/": "base log read registration scene score"}
+    "oneapi/tbb": "base", "Eigen/": "base log read registration scene score train"}
 UMBRELLA = "include/relidar/relidar.hpp"
 # Headers for users who write a trainer, and headers of options. <relidar/relidar.hpp>
 # includes only the latter.

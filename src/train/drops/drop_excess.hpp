@@ -20,7 +20,7 @@ struct SolidRay {
     float drop_logit;          ///< rendered drop logit minus hit logit
 };
 
-/// Returns the rate p at which the sensor drops rays that the scene returns, for each bin.
+/// Returns for each bin the rate p at which the sensor drops rays that the scene returns.
 /// A logistic regression of the drops in all bins gives the probability q with which the
 /// scene drops a ray. A bin with n rays and d drops has the excess e = d - sum of q and
 ///   p = (e + 8 m) / (n - sum of q + 8),
