@@ -210,8 +210,10 @@ TEST(PrepareLog, TheBodyThatCarriesTheLidarTrainsNothing) {
     for (const Frame& frame : {trained, held_out}) {
         const TrainingRays rays = make_training_rays(run, frame);
         for (std::size_t ray = 0; ray < rays.targets.size(); ++ray) {
-            if (is_on_carrier(frame.scan.rays.direction[ray])) ASSERT_EQ(rays.targets[ray].weight, 0.0f);
-            else if (frame.scan.range_m[ray] > 0.0f) ASSERT_EQ(rays.targets[ray].weight, 1.0f);
+            const bool is_body = is_on_carrier(frame.scan.rays.direction[ray]);
+            if (is_body || frame.scan.range_m[ray] > 0.0f) {
+                ASSERT_EQ(rays.targets[ray].weight, is_body ? 0.0f : 1.0f);
+            }
         }
     }
     // The rays to the body have not observed the space behind it, although rays above and

@@ -93,8 +93,8 @@ TEST(SensorDrop, OccasionalDropsAreNotOfTheSensor) {
     }
 }
 
-/// Beam b sees a surface at 3 b m. The logit of a drop grows with ln(range^2 / intensity).
-/// The scene has not learnt this. The beam at 9 m is blind in a sector.
+/// Beam b sees a surface at 3 b m. The logit of a drop grows with ln(range^2 /
+/// intensity). The scene has not learnt this. The beam at 9 m is blind in a sector.
 TEST(SensorDrop, WeakReturnsAreNotOfTheSensor) {
     constexpr int kBeams = 20, kBins = 120, kRaysPerBin = 40, kBlindBeam = 3, kBlindBins = 12;
     Random random(5);

@@ -131,11 +131,11 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
     if (rays.origin.size() != rays.direction.size())
         fail("directions: found {} directions and {} origins, expected the same number",
              rays.direction.size(), rays.origin.size());
-    constexpr float kMaxLengthError = 1e-3f;
+    constexpr float kLengthTolerance = 1e-3f;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::vec3 &origin = rays.origin[i], &direction = rays.direction[i];
         const bool is_finite = std::isfinite(origin.x + origin.y + origin.z);
-        if (!is_finite || !(std::abs(glm::length(direction) - 1.0f) < kMaxLengthError))
+        if (!is_finite || !(std::abs(glm::length(direction) - 1.0f) < kLengthTolerance))
             fail(
                 "directions: ray {} starts at ({}, {}, {}) and has a direction of length {}, expected finite "
                 "numbers and length 1",

@@ -14,8 +14,8 @@ namespace relidar {
 /// Returns the drop rates of each beam in azimuth bins of about three columns, for rays
 /// that are dropped persistently. Uses intervals of neighbouring bins with at least 60
 /// rays. A bin gets the highest rate of the intervals that contain it, but at most its
-/// own rate. The rate is 0 if the beam has fewer than 60 rays. It is 1 in a sector of at least
-/// 10 degrees in which the beam never fires.
+/// own rate. The rate is 0 if the beam has fewer than 60 rays. It is 1 in a sector of at
+/// least 10 degrees in which the beam never fires.
 RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frames);
 
 /// Sets the drop probability to 1 in sectors of at least 10 degrees in which no beam of a

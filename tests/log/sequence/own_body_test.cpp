@@ -73,7 +73,9 @@ TEST(OwnBody, IsFoundWhereItIs) {
             n_returns += range_m > 0.0f;
             n_on_person += is_on_person(direction);
             // A dropped ray next to the person may have hit the person.
-            if (range_m > 0.0f) ASSERT_EQ(body.table.hides(direction, range_m), is_on_person(direction));
+            if (range_m > 0.0f) {
+                ASSERT_EQ(body.table.hides(direction, range_m), is_on_person(direction));
+            }
             if (is_on_person(direction)) {
                 const std::size_t cell = BodyTable::cell_of(direction);
                 EXPECT_NEAR(body.table.range_m[cell], 0.4f, 0.021f);
