@@ -387,44 +387,46 @@ void TrainLoop::restore_from(const Checkpoint& checkpoint) {
 }
 
 RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
-    // In a long log, a batch of each frame gives each bin of the drop table (a beam and
-    // an azimuth interval) hundreds of rays. In a short log, several batches of a frame,
-    // or all, give it about kRaysPerBin rays.
+    // In a long log, a batch of each or of every n-th frame suffices. In a short log,
+    // several batches of a frame, or all, give each bin of the drop table (a beam and an
+    // azimuth interval) about kRaysPerBin rays.
     constexpr std::uint32_t kRaysPerBatch = 20000;
-    constexpr std::size_t kRaysPerBin = 20;
+    constexpr std::size_t kRaysPerBin = 20, kMaxFrames = 400;
     Config batch_config = config_;
     batch_config.train.rays_per_iteration = kRaysPerBatch;
     batch_config.loss.intensity_ssim = 0.0f;  // else a batch is a window, without rays of all directions
     const std::size_t n_frames = frames_.all().size();
     BatchSampler batches(device, batch_config, frames_.all());
     const RayDropTable& observed = frames_.mask_rules().observed_drops;
-    std::vector<SolidRay> rays;
+    std::vector<CheckedRay> rays;
     const std::size_t rays_per_frame =
         kRaysPerBin * observed.probability.size() / std::max<std::size_t>(1, n_frames);
     renderer_.set_sh_degree(active_sh_degree(config_.train, config_.train.iterations));
-    for (std::size_t frame_index = 0; frame_index < n_frames; ++frame_index) {
+    const std::size_t frame_step = 1 + n_frames / kMaxFrames;
+    for (std::size_t frame_index = 0; frame_index < n_frames; frame_index += frame_step) {
         // The last iteration moved the surfels, so the first frame refits the tree.
         const bool surfels_changed = frame_index == 0;
         const TrainingFrameData& frame = upload_frame(frame_index, surfels_changed);
-        if (frame_index + 1 < n_frames) frames_.prefetch_frame(frame_index + 1);
+        if (frame_index + frame_step < n_frames) frames_.prefetch_frame(frame_index + frame_step);
         const std::uint32_t start = batches.draw_start(frame, sampler_.generator());
         const auto n_batches = static_cast<std::uint32_t>(
             std::clamp<std::size_t>(rays_per_frame / kRaysPerBatch, 1, batches.count_batches(frame)));
         for (std::uint32_t batch = 0; batch < n_batches; ++batch)
-            add_solid_rays(rays, sequence, frame, batches.gather(stream_, frame, start, batch));
+            add_checked_rays(rays, sequence, frame, batches.gather(stream_, frame, start, batch));
     }
     RayDropTable drops = find_drop_excess(observed, rays);
     drop_unobserved(drops, observed, sequence);
     return drops;
 }
 
-/// Renders a batch. Appends the rays that hit a solid surface.
-void TrainLoop::add_solid_rays(std::vector<SolidRay>& rays, const Log& log, const TrainingFrameData& frame,
-                               const SampledBatch& batch) {
+/// Renders a batch. Appends its rays that find_drop_excess() checks.
+void TrainLoop::add_checked_rays(std::vector<CheckedRay>& rays, const Log& log,
+                                 const TrainingFrameData& frame, const SampledBatch& batch) {
     constexpr float kMinSolidWeight = 0.9f;  // minimum blending weight of a ray that hits a solid surface
     const Frame& sweep = log.frames[std::size_t(frame.position)];
     const Scan& scan = sweep.scan;
     const BodyTable& own_body = log.lidar_of(sweep).own_body;
+    const RayDropTable& observed = frames_.mask_rules().observed_drops;
     renderer_.record_forward(batch.rays);
     stream_.submit_and_wait();
     const RenderedRayValues rendered =
@@ -433,14 +435,19 @@ void TrainLoop::add_solid_rays(std::vector<SolidRay>& rays, const Log& log, cons
         const std::size_t ray = batch.frame_ray(j);
         const glm::vec3& direction = scan.rays.direction[ray];
         const auto beam = log.find_global_beam(sweep.lidar, scan.rays.channel[ray]);
-        if (!beam || rendered.weight[j] <= kMinSolidWeight || own_body.hides(direction, scan.range_m[ray]))
-            continue;
-        const std::size_t bin = frames_.mask_rules().observed_drops.index_of(*beam, direction);
-        rays.push_back({.bin = std::uint32_t(bin),
+        if (!beam || own_body.hides(direction, scan.range_m[ray])) continue;
+        const float drop_logit = rendered.drop_logit[j] - rendered.hit_logit[j];
+        // Training ignored blind rays, so only the edges of surfaces may reach there.
+        const bool is_ignored = is_blind_ray(observed, log, sweep, ray);
+        const bool is_solid = rendered.weight[j] > kMinSolidWeight;
+        if (!is_solid && !is_ignored) continue;
+        rays.push_back({.bin = std::uint32_t(observed.index_of(*beam, direction)),
                         .is_dropped = !(scan.range_m[ray] > 0.0f),
+                        .is_ignored = is_ignored,
+                        .is_met = is_solid || drop_logit < 0.0f,
                         .range_m = rendered.depth[j] / rendered.weight[j],
                         .intensity = rendered.intensity[j],
-                        .drop_logit = rendered.drop_logit[j] - rendered.hit_logit[j]});
+                        .drop_logit = drop_logit});
     }
 }
 

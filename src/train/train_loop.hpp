@@ -149,8 +149,8 @@ private:
     void grow_hit_capacity(const IterationReport& report);
     /// Stores more hits per ray if many rays had more, because these are traced twice.
     void resize_stored_hits(const IterationReport& report);
-    void add_solid_rays(std::vector<SolidRay>& rays, const Log& log, const TrainingFrameData& frame,
-                        const SampledBatch& batch);
+    void add_checked_rays(std::vector<CheckedRay>& rays, const Log& log, const TrainingFrameData& frame,
+                          const SampledBatch& batch);
 };
 
 }  // namespace relidar

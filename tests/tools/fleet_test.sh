@@ -194,7 +194,7 @@ STAND_IN
     chmod 755 bin/relidar_notes
     /usr/bin/python3 "$fleet/variations.py" r --out moved --scenes 8 --relidar "$PWD/bin/relidar_notes" >out 2>err
     check "variations.py fails with the stand-in" test $? = 0
-    check "variations.py does not move the copies in notes" test "$(grep -h '^moved: 0@' moved/done/* | wc -l)" = 3
+    check "variations.py does not move the copies in notes" test "$(cat moved/done/* | grep -c '^moved: 0@')" = 3
     check "variations.py moves copies without a note" test "$(grep -L . moved/done/* | wc -l)" = 7
 }
 

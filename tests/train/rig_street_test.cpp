@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/run/run.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
@@ -13,6 +14,7 @@
 #include "../support/device.hpp"
 #include "../support/rig_street.hpp"
 #include "../support/two_lidars.hpp"
+#include "base/median.hpp"
 
 namespace relidar {
 namespace {
@@ -186,6 +188,38 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
         EXPECT_GT(measure_held_out_error(device(), result.scene, config, street, frame), 1.2 * after);
         street.lidars[std::size_t(frame.lidar)].vehicle_from_sensor.translation.y -= 3.0;
     }
+}
+
+/// `tools/bench/transfer` measures this for whole logs.
+TEST_F(TwoLidars, TheSceneOfOneLidarIsRightForTheOther) {
+    relidar::Run run;
+    run.sequence = test::make_two_lidar_street({.n_frames = 12, .rows = 32, .columns = 512});
+    run.config = make_two_lidar_config();
+    run.config.train.iterations = 150;
+    run.split = split_frames(run.sequence, 0);
+    std::erase_if(run.split.train, [&](int k) { return run.sequence.frames[std::size_t(k)].lidar == 1; });
+    run.scene = train(device(), run.sequence, run.split, run.config).scene;
+    run.drop_network = train_drops(device(), run);
+    ScanRenderer renderer(device(), run);
+    std::vector<double> errors_m;
+    double rendered_returns = 0.0, true_returns = 0.0, rays = 0.0;
+    for (const Frame& frame : run.sequence.frames) {
+        if (frame.lidar == 0) continue;
+        const RenderedScan scan =
+            renderer.render(nominal_sensor(run.config, run.sequence, frame), frame.time_s);
+        for (std::size_t i = 0; i < scan.weight.size(); ++i) {
+            const float true_m = frame.scan.range_m[i], median_m = scan.median_range_m[i];
+            if (scan.weight[i] < 0.9f || median_m < 5.0f || median_m > 40.0f) continue;
+            const bool returns = is_ray_returned(scan.image.drop_prob[i], median_m);
+            rays += 1.0;
+            rendered_returns += returns;
+            true_returns += true_m > 0.0f;
+            if (returns && true_m > 0.0f) errors_m.push_back(std::abs(double(median_m - true_m)));
+        }
+    }
+    EXPECT_GT(rays, 10000.0);
+    EXPECT_NEAR(rendered_returns / true_returns, 1.0, 0.02);
+    EXPECT_LT(compute_median(errors_m), 0.03);
 }
 
 }  // namespace

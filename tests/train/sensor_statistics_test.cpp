@@ -52,7 +52,7 @@ Log log_of(int n_frames, int step = 1) {
 
 RayDropTable table_of(const Log& log) {
     const RayDropTable bins = measure_drops(log, {});
-    std::vector<SolidRay> rays;
+    std::vector<CheckedRay> rays;
     for (const Frame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             const std::size_t bin = bins.index_of(frame.scan.rays.channel[i], frame.scan.rays.direction[i]);
@@ -98,7 +98,7 @@ TEST(SensorDrop, OccasionalDropsAreNotOfTheSensor) {
 TEST(SensorDrop, WeakReturnsAreNotOfTheSensor) {
     constexpr int kBeams = 20, kBins = 120, kRaysPerBin = 40, kBlindBeam = 3, kBlindBins = 12;
     Random random(5);
-    std::vector<SolidRay> rays;
+    std::vector<CheckedRay> rays;
     std::vector<int> drops_by_beam(kBeams, 0);
     for (int beam = 1; beam < kBeams; ++beam)
         for (int bin = 0; bin < kBins; ++bin)
