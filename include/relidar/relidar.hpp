@@ -14,11 +14,11 @@
 #include <relidar/base/progress.hpp>
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/coverage.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/log/log_time.hpp>
 #include <relidar/log/scatter.hpp>
 #include <relidar/log/sensor.hpp>
 #include <relidar/log/sensor_files.hpp>
-#include <relidar/log/sequence.hpp>
 #include <relidar/read/dataset.hpp>
 #include <relidar/read/packets.hpp>
 #include <relidar/registration/registration.hpp>

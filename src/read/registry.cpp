@@ -129,13 +129,13 @@ void visit_ranges(const Scan& scan, const Visit& visit) {
 
 /// Returns the largest range of all returns of a LiDAR, rounded up to metres. Returns 80
 /// m if the LiDAR has no returns.
-double farthest_return_m(const Log& sequence, int lidar_index) {
+double farthest_return_m(const Log& log, int lidar_index) {
     // Larger ranges are ignored as errors, because no LiDAR on a vehicle measures them.
     constexpr float kMaxPlausibleRange_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
-    std::vector<float> farthest(sequence.frames.size(), 0.0f);  // [frames]
+    std::vector<float> farthest(log.frames.size(), 0.0f);  // [frames]
     parallel_for(int(farthest.size()), [&](int index) {
-        const Frame& frame = sequence.frames[std::size_t(index)];
+        const Frame& frame = log.frames[std::size_t(index)];
         if (frame.lidar != lidar_index) return;
         visit_ranges(frame.scan, [&](float range_m) {
             if (range_m <= kMaxPlausibleRange_m)
@@ -147,13 +147,13 @@ double farthest_return_m(const Log& sequence, int lidar_index) {
 }
 
 /// Sets unknown maximum ranges of LiDARs to the largest range in the log, with a note.
-void fill_max_ranges(Log& sequence) {
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
-        SpinningSensor& sensor = sequence.lidars[l].sensor;
+void fill_max_ranges(Log& log) {
+    for (std::size_t l = 0; l < log.lidars.size(); ++l) {
+        SpinningSensor& sensor = log.lidars[l].sensor;
         if (std::isfinite(sensor.max_range_m)) continue;
-        sensor.max_range_m = farthest_return_m(sequence, int(l));
-        const std::string& name = sequence.lidars[l].name;
-        sequence.notes.push_back(
+        sensor.max_range_m = farthest_return_m(log, int(l));
+        const std::string& name = log.lidars[l].name;
+        log.notes.push_back(
             fmt::format("maximum range{}: relidar uses the range of the farthest return, {} m, because the "
                         "limit of the sensor is unknown",
                         name.empty() ? "" : " of " + name, sensor.max_range_m));
@@ -185,15 +185,15 @@ RangeLimitCounts count_outside(const Scan& scan, const RangeLimits& limits) {
 /// Adds a note for the user about each LiDAR with returns outside its range limits.
 /// @param counts_of_frames  [frames] numbers of near, far and all returns in each frame
 /// @throws DataError if all returns of the log are outside the limits
-void note_dropped(Log& sequence, const std::vector<RangeLimitCounts>& counts_of_frames) {
+void note_dropped(Log& log, const std::vector<RangeLimitCounts>& counts_of_frames) {
     RangeLimitCounts all;
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
+    for (std::size_t l = 0; l < log.lidars.size(); ++l) {
         RangeLimitCounts counts;
         for (std::size_t i = 0; i < counts_of_frames.size(); ++i)
-            if (sequence.frames[i].lidar == int(l)) counts.add(counts_of_frames[i]);
+            if (log.frames[i].lidar == int(l)) counts.add(counts_of_frames[i]);
         all.add(counts);
         if (counts.n_outside() == 0) continue;
-        const Lidar& lidar = sequence.lidars[l];
+        const Lidar& lidar = log.lidars[l];
         std::vector<std::string> reasons;
         if (counts.n_above_max > 0)
             reasons.push_back(
@@ -201,7 +201,7 @@ void note_dropped(Log& sequence, const std::vector<RangeLimitCounts>& counts_of_
         if (counts.n_below_min > 0)
             reasons.push_back(
                 fmt::format("{} returns are nearer than {} m", counts.n_below_min, lidar.sensor.min_range_m));
-        sequence.notes.push_back(fmt::format(
+        log.notes.push_back(fmt::format(
             "range{}: {} of {} returns ({:.3g} %) are read as dropped rays: {}",
             lidar.name.empty() ? "" : " of " + lidar.name, counts.n_outside(), counts.n_returns,
             100.0 * double(counts.n_outside()) / double(counts.n_returns), fmt::join(reasons, " and ")));
@@ -210,72 +210,72 @@ void note_dropped(Log& sequence, const std::vector<RangeLimitCounts>& counts_of_
         fail(
             "{}: none of its {} returns is within the range limits; change dataset.min_range_m or "
             "dataset.max_range_m ({})",
-            sequence.source, all.n_returns, sequence.notes.back().text);  // a note from above
+            log.source, all.n_returns, log.notes.back().text);  // a note from above
 }
 
 /// Sets the range limits that the user requested for all LiDARs. Turns returns outside
 /// the limits into dropped rays.
-void apply_range_limits(Log& sequence, const RangeLimits& requested_limits) {
-    fill_max_ranges(sequence);
-    for (Lidar& lidar : sequence.lidars) {
+void apply_range_limits(Log& log, const RangeLimits& requested_limits) {
+    fill_max_ranges(log);
+    for (Lidar& lidar : log.lidars) {
         const RangeLimits limits = intersect(lidar.sensor.range_limits(), requested_limits);
         lidar.sensor.min_range_m = limits.min_m;
         lidar.sensor.max_range_m = limits.max_m;
     }
-    std::vector<RangeLimitCounts> counts(sequence.frames.size());
+    std::vector<RangeLimitCounts> counts(log.frames.size());
     parallel_for(int(counts.size()), [&](int index) {
-        Frame& frame = sequence.frames[std::size_t(index)];
-        const RangeLimits limits = sequence.lidar_of(frame).sensor.range_limits();
+        Frame& frame = log.frames[std::size_t(index)];
+        const RangeLimits limits = log.lidar_of(frame).sensor.range_limits();
         counts[std::size_t(index)] = count_outside(frame.scan, limits);
         limit_ranges(frame.scan, limits);
     });
-    note_dropped(sequence, counts);
+    note_dropped(log, counts);
 }
 
 /// Returns for each LiDAR whether it has one of the names. LiDARs that share a topic have
 /// the names TOPIC:ID, and the name of the topic selects all of them.
 /// @throws UsageError if no LiDAR has a name
-std::vector<bool> find_kept_lidars(const Log& sequence, const std::vector<std::string>& lidar_names) {
-    std::vector<bool> is_kept(sequence.lidars.size());
+std::vector<bool> find_kept_lidars(const Log& log, const std::vector<std::string>& lidar_names) {
+    std::vector<bool> is_kept(log.lidars.size());
     for (const std::string& name : lidar_names) {
         bool is_found = false;
         for (std::size_t l = 0; l < is_kept.size(); ++l) {
-            const std::string& lidar = sequence.lidars[l].name;
+            const std::string& lidar = log.lidars[l].name;
             if (lidar == name || lidar.starts_with(name + ":")) is_kept[l] = is_found = true;
         }
         // Throws for an unknown name. An empty name means the first LiDAR.
-        if (!is_found) is_kept[std::size_t(find_lidar(sequence, name))] = true;
+        if (!is_found) is_kept[std::size_t(find_lidar(log, name))] = true;
     }
     return is_kept;
 }
 
 /// Keeps only the named LiDARs and their frames and poses.
-void keep_lidars(Log& sequence, const std::vector<std::string>& lidar_names) {
-    const std::vector<bool> is_kept = find_kept_lidars(sequence, lidar_names);
+void keep_lidars(Log& log, const std::vector<std::string>& lidar_names) {
+    const std::vector<bool> is_kept = find_kept_lidars(log, lidar_names);
     std::vector<Lidar> remaining_lidars;
     std::vector<int> new_index_of_lidar;  // -1: removed
     std::vector<std::string> left_out;
     for (std::size_t l = 0; l < is_kept.size(); ++l) {
         new_index_of_lidar.push_back(is_kept[l] ? int(remaining_lidars.size()) : -1);
-        if (is_kept[l]) remaining_lidars.push_back(std::move(sequence.lidars[l]));
-        else left_out.push_back(sequence.lidars[l].name);
+        if (is_kept[l]) remaining_lidars.push_back(std::move(log.lidars[l]));
+        else left_out.push_back(log.lidars[l].name);
     }
-    std::erase_if(sequence.frames,
+    std::erase_if(log.frames,
                   [&](const Frame& frame) { return new_index_of_lidar[std::size_t(frame.lidar)] < 0; });
-    if (sequence.frames.empty())
+    if (log.frames.empty())
         fail<UsageError>(
             "dataset.lidars: the selected frames contain no scan of {}; select another LiDAR or other frames",
             fmt::join(lidar_names, ", "));
     PoseTrack track;  // one pose per time of the remaining frames, which are sorted by time
-    for (Frame& frame : sequence.frames) {
+    for (Frame& frame : log.frames) {
         frame.lidar = new_index_of_lidar[std::size_t(frame.lidar)];
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
-        track.append(frame.time_s, sequence.world_from_vehicle.pose_at(frame.time_s));
+        track.append(frame.time_s, log.world_from_vehicle.pose_at(frame.time_s));
     }
-    sequence.lidars = std::move(remaining_lidars);
-    sequence.world_from_vehicle = std::move(track);
+    log.lidars = std::move(remaining_lidars);
+    log.world_from_vehicle = std::move(track);
     if (!left_out.empty())
-        sequence.notes.push_back(
+        log.notes.push_back(
             fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
 }
 
@@ -306,15 +306,15 @@ const DatasetKind& kind_of_path(const std::string& dataset, const std::string& r
 
 /// Estimates two values for each frame: the start of the sweep, and how much the head
 /// azimuths deviate from even rotation.
-void estimate_sweeps(Log& sequence) {
+void estimate_sweeps(Log& log) {
     std::vector<RayTable> nominal;  // [LiDARs] rays at even rotation; empty if it does not spin
-    for (const Lidar& lidar : sequence.lidars)
+    for (const Lidar& lidar : log.lidars)
         nominal.push_back(lidar.pattern ? RayTable{} : make_lidar_rays(lidar, 0.0));
-    parallel_for(int(sequence.frames.size()), [&](int index) {
-        Frame& frame = sequence.frames[std::size_t(index)];
-        frame.start = find_sweep_start(frame.scan.rays, sequence.lidar_of(frame));
-        frame.azimuth_shift_rad = measure_shifts_rad(frame.scan, sequence.lidar_of(frame).sensor,
-                                                     nominal[std::size_t(frame.lidar)]);
+    parallel_for(int(log.frames.size()), [&](int index) {
+        Frame& frame = log.frames[std::size_t(index)];
+        frame.start = find_sweep_start(frame.scan.rays, log.lidar_of(frame));
+        frame.azimuth_shift_rad =
+            measure_shifts_rad(frame.scan, log.lidar_of(frame).sensor, nominal[std::size_t(frame.lidar)]);
     });
 }
 
@@ -370,7 +370,7 @@ std::string absolute_dataset(const std::string& dataset) {
     return kind.empty() ? absolute : kind + ":" + absolute;
 }
 
-Log load_sequence(const std::string& dataset, const DatasetOptions& options) {
+Log load_log(const std::string& dataset, const DatasetOptions& options) {
     const FrameRange& range = options.frames;
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end))
         fail<UsageError>("the frame range {}:{} is empty, expected a:b with 0 <= a < b", range.begin,
@@ -379,20 +379,20 @@ Log load_sequence(const std::string& dataset, const DatasetOptions& options) {
         fail<UsageError>(
             "the range limits are {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
             options.min_range_m, options.max_range_m);
-    Log sequence = kind_of_path(dataset, options.sequence).load(split_dataset(dataset).second, options);
-    sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
-    check_sequence(sequence);
+    Log log = kind_of_path(dataset, options.sequence).load(split_dataset(dataset).second, options);
+    log.rolling_shutter = log.rolling_shutter && options.rolling_shutter;
+    check_log(log);
     // Other LiDARs are removed first, so that the steps below do not process them. Range
     // limits are applied after far markers are removed, because a far marker is not a
     // maximum range.
-    if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
-    read::fix_inverted_poses(sequence);
-    estimate_sweeps(sequence);
-    remove_drop_markers(sequence);
-    apply_range_limits(sequence, {options.min_range_m, options.max_range_m});
-    checks::remove_ego_boxes(sequence);
-    checks::note_faults(sequence);
-    return sequence;
+    if (!options.lidars.empty()) keep_lidars(log, options.lidars);
+    read::fix_inverted_poses(log);
+    estimate_sweeps(log);
+    remove_drop_markers(log);
+    apply_range_limits(log, {options.min_range_m, options.max_range_m});
+    checks::remove_ego_boxes(log);
+    checks::note_faults(log);
+    return log;
 }
 
 }  // namespace relidar

@@ -44,13 +44,13 @@ std::vector<FrameRays> rays_at_pose(const Log& log, std::size_t pose, const Regi
 
 }  // namespace
 
-ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const SceneCaster& scene_view,
+ScanAlignment align_scan(const Log& log, std::size_t pose_index, const SceneCaster& scene_view,
                          const std::vector<UnobservedMotion>& unobserved,
                          const RegistrationOptions& options) {
-    PoseTrack track = sequence.world_from_vehicle;
+    PoseTrack track = log.world_from_vehicle;
     const Pose initial_pose = track.pose[pose_index];
     ScanAlignment result{.world_from_vehicle = initial_pose};  // not aligned yet
-    const std::vector<FrameRays> frames = rays_at_pose(sequence, pose_index, options);
+    const std::vector<FrameRays> frames = rays_at_pose(log, pose_index, options);
     std::size_t n_rays = 0;
     for (const FrameRays& frame : frames) n_rays += frame.rays.size();
     if (n_rays == 0) return result;

@@ -45,7 +45,7 @@ SubsampledPoint make_box_point(const BoxTrack& box, const glm::dvec3& local_m, d
 }
 
 /// Returns the points of a frame in each box, without those near the ground: [boxes].
-std::vector<std::vector<SubsampledPoint>> find_box_points(const Log& sequence, const Frame& frame,
+std::vector<std::vector<SubsampledPoint>> find_box_points(const Log& log, const Frame& frame,
                                                           const std::vector<BoxTrack*>& boxes) {
     std::vector<std::vector<SubsampledPoint>> points(boxes.size());
     std::vector<std::size_t> visible_boxes;
@@ -54,7 +54,7 @@ std::vector<std::vector<SubsampledPoint>> find_box_points(const Log& sequence, c
     if (visible_boxes.empty()) return points;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-        const WorldReturn measured = locate_return(sequence, frame, ray);
+        const WorldReturn measured = locate_return(log, frame, ray);
         for (const std::size_t b : visible_boxes) {
             const BoxTrack& box = *boxes[b];
             if (!box.contains_point(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
@@ -69,12 +69,12 @@ std::vector<std::vector<SubsampledPoint>> find_box_points(const Log& sequence, c
 
 /// Collects the training returns inside each labelled box.
 /// @return [boxes] points sorted by pose of the box, then by frame and ray
-std::vector<BoxFramePoints> collect_in_boxes(const Log& sequence, const std::vector<int>& train_frames,
+std::vector<BoxFramePoints> collect_in_boxes(const Log& log, const std::vector<int>& train_frames,
                                              const std::vector<BoxTrack*>& actor_boxes) {
     std::vector<std::vector<std::vector<SubsampledPoint>>> points_of_frames(train_frames.size());
     parallel_for(static_cast<int>(train_frames.size()), [&](int index) {
-        const Frame& frame = sequence.frames[std::size_t(train_frames[std::size_t(index)])];
-        points_of_frames[std::size_t(index)] = find_box_points(sequence, frame, actor_boxes);
+        const Frame& frame = log.frames[std::size_t(train_frames[std::size_t(index)])];
+        points_of_frames[std::size_t(index)] = find_box_points(log, frame, actor_boxes);
     });
     std::vector<BoxFramePoints> actors(actor_boxes.size());
     for (std::size_t b = 0; b < actor_boxes.size(); ++b) {

@@ -12,25 +12,24 @@ namespace relidar {
 namespace {
 
 /// Returns the index of the LiDAR with the most returns in the log.
-int find_main_lidar(const Log& sequence) {
-    if (sequence.lidars.size() < 2) return 0;
-    std::vector<std::size_t> n_returns(sequence.lidars.size(), 0);
-    for (const Frame& frame : sequence.frames)
-        n_returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
+int find_main_lidar(const Log& log) {
+    if (log.lidars.size() < 2) return 0;
+    std::vector<std::size_t> n_returns(log.lidars.size(), 0);
+    for (const Frame& frame : log.frames) n_returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
     return static_cast<int>(std::ranges::max_element(n_returns) - n_returns.begin());
 }
 
 }  // namespace
 
-SweepSet group_sweeps(const Log& sequence) {
-    const int main_lidar = find_main_lidar(sequence);
-    const PoseTrack& vehicle_track = sequence.world_from_vehicle;
+SweepSet group_sweeps(const Log& log) {
+    const int main_lidar = find_main_lidar(log);
+    const PoseTrack& vehicle_track = log.world_from_vehicle;
     std::vector<std::vector<int>> frames_at_pose(vehicle_track.pose.size());
     std::vector<bool> has_main_frame(vehicle_track.pose.size(), false);
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
-        const std::size_t pose = sequence.find_pose_index(sequence.frames[i]);
+    for (std::size_t i = 0; i < log.frames.size(); ++i) {
+        const std::size_t pose = log.find_pose_index(log.frames[i]);
         frames_at_pose[pose].push_back(static_cast<int>(i));
-        if (sequence.frames[i].lidar == main_lidar) has_main_frame[pose] = true;
+        if (log.frames[i].lidar == main_lidar) has_main_frame[pose] = true;
     }
     SweepSet sweeps;
     for (std::size_t pose = 0; pose < has_main_frame.size(); ++pose) {
@@ -56,9 +55,9 @@ PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, c
     return all;
 }
 
-std::vector<std::size_t> select_returns(const Log& sequence, int frame_index,
-                                        const RegistrationOptions& options, double cell_size_m) {
-    const Frame& frame = sequence.frames[std::size_t(frame_index)];
+std::vector<std::size_t> select_returns(const Log& log, int frame_index, const RegistrationOptions& options,
+                                        double cell_size_m) {
+    const Frame& frame = log.frames[std::size_t(frame_index)];
     const Scan& scan = frame.scan;
     std::unordered_set<std::uint64_t> occupied_cells;
     std::vector<std::size_t> rays;
@@ -67,7 +66,7 @@ std::vector<std::size_t> select_returns(const Log& sequence, int frame_index,
         const std::uint64_t cell = grid_key(scan.return_point(ray), cell_size_m);
         if (occupied_cells.contains(cell)) continue;
         // The test of the boxes is slow, so it follows the test of the cell.
-        const WorldReturn world_return = locate_return(sequence, frame, ray);
+        const WorldReturn world_return = locate_return(log, frame, ray);
         const auto contains_return = [&](const BoxTrack& box) {
             return box.is_observed(world_return.time_s) &&
                    box.contains_point(world_return.point_m, world_return.time_s, options.mover_margin_m);
@@ -79,16 +78,16 @@ std::vector<std::size_t> select_returns(const Log& sequence, int frame_index,
     return rays;
 }
 
-SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::size_t pose_index,
-                           int frame_index, std::size_t ray_index) {
-    const Frame& frame = sequence.frames[std::size_t(frame_index)];
+SubsampledPoint make_point(const Log& log, const PoseTrack& track, std::size_t pose_index, int frame_index,
+                           std::size_t ray_index) {
+    const Frame& frame = log.frames[std::size_t(frame_index)];
     const RayTable& rays = frame.scan.rays;
     // The firing time is between the poses `left` and `left + 1`. `s` weights the second.
-    const TrackInterpolation firing = track.find_segment(locate_return(sequence, frame, ray_index).time_s);
+    const TrackInterpolation firing = track.find_segment(locate_return(log, frame, ray_index).time_s);
     // surface_return() corrects the range for the beam.
-    const float range_m = surface_return(sequence, frame, ray_index).range_m;
+    const float range_m = surface_return(log, frame, ray_index).range_m;
     const glm::vec3 in_sensor_m = rays.origin[ray_index] + range_m * rays.direction[ray_index];
-    const Pose& vehicle_from_sensor = sequence.lidar_of(frame).vehicle_from_sensor;
+    const Pose& vehicle_from_sensor = log.lidar_of(frame).vehicle_from_sensor;
     return {.point_m = glm::vec3(vehicle_from_sensor * glm::dvec3(in_sensor_m)),
             .s = static_cast<float>(firing.s),
             .left = static_cast<std::uint32_t>(firing.left),
@@ -107,7 +106,7 @@ double weight_of_pose(const SubsampledPoint& point, std::size_t pose_index) {
     return point.left + 1 == pose_index ? double(point.s) : 0.0;
 }
 
-SubsampledScans thin_sweeps(const Log& sequence, const SweepSet& sweeps,
+SubsampledScans thin_sweeps(const Log& log, const SweepSet& sweeps,
                             const std::vector<bool>& is_sweep_selected, const RegistrationOptions& options,
                             double cell_size_m) {
     SubsampledScans scans(is_sweep_selected.size());
@@ -115,8 +114,8 @@ SubsampledScans thin_sweeps(const Log& sequence, const SweepSet& sweeps,
         const auto sweep = std::size_t(index);
         if (!is_sweep_selected[sweep]) return;
         for (const int position : sweeps.frames[sweep])
-            for (const std::size_t ray : select_returns(sequence, position, options, cell_size_m))
-                scans[sweep].push_back(make_point(sequence, sweeps.track, sweep, position, ray));
+            for (const std::size_t ray : select_returns(log, position, options, cell_size_m))
+                scans[sweep].push_back(make_point(log, sweeps.track, sweep, position, ray));
     });
     return scans;
 }

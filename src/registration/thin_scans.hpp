@@ -19,7 +19,7 @@ struct SweepSet {
     std::vector<std::vector<int>> frames;  ///< [sweeps] indices in Log::frames
 };
 /// Groups frames into sweeps, one for each vehicle pose with a frame of the main LiDAR.
-SweepSet group_sweeps(const Log& sequence);
+SweepSet group_sweeps(const Log& log);
 /// Corrects all poses of a log. Interpolates the corrections between registered sweeps.
 /// @param corrected  poses of the sweeps after the registration
 PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, const PoseTrack& corrected);
@@ -48,15 +48,15 @@ double weight_of_pose(const SubsampledPoint& point, std::size_t pose_index);
 /// Selects returns of a frame, at most one in each cell of size `cell_size_m` in the
 /// sensor frame. Skips returns in moving boxes.
 /// @return indices in the order of the scan
-std::vector<std::size_t> select_returns(const Log& sequence, int frame, const RegistrationOptions& options,
+std::vector<std::size_t> select_returns(const Log& log, int frame, const RegistrationOptions& options,
                                         double cell_size_m);
 /// Returns the measured point of one ray of a frame, corrected by the range offset of its
 /// beam, with the two vehicle poses of `track` between which the ray was fired.
 /// @param pose_index index in `track` of the pose of this frame
-SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::size_t pose_index, int frame,
+SubsampledPoint make_point(const Log& log, const PoseTrack& track, std::size_t pose_index, int frame,
                            std::size_t ray);
 /// Returns some points of the selected sweeps, those of select_returns() in each frame.
-SubsampledScans thin_sweeps(const Log& sequence, const SweepSet& sweeps,
+SubsampledScans thin_sweeps(const Log& log, const SweepSet& sweeps,
                             const std::vector<bool>& is_sweep_selected, const RegistrationOptions& options,
                             double cell_size_m);
 

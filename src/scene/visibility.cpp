@@ -151,7 +151,7 @@ std::vector<float> BeamGrid::nearest_ranges_m(const Scan& scan) const {
 
 /// Selects the frames for each tile of the ground. make_images() makes their images.
 VisibilityChecker::VisibilityChecker(const Log& log, const std::vector<int>& positions)
-    : sequence_(log), grids_(log.lidars.size()), positions_(positions) {
+    : log_(log), grids_(log.lidars.size()), positions_(positions) {
     for (const int position : positions) {
         const Frame& frame = log.frames[std::size_t(position)];
         BeamGrid& grid = grids_[std::size_t(frame.lidar)];  // of its first frame with rays
@@ -179,7 +179,7 @@ void VisibilityChecker::make_requested() {
                            requested_views_.end());
     parallel_for(static_cast<int>(requested_views_.size()), [&](int index) {
         const std::uint32_t view = requested_views_[std::size_t(index)];
-        make_image(views_[view], sequence_.frames[std::size_t(positions_[view])]);
+        make_image(views_[view], log_.frames[std::size_t(positions_[view])]);
     });
     requested_views_.clear();
 }
@@ -187,14 +187,13 @@ void VisibilityChecker::make_requested() {
 /// Stores the nearest range in each cell of a frame, and the sensor pose when the LiDAR
 /// head faces the middle of each azimuth sector, because the vehicle moves meanwhile.
 void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) const {
-    const Pose& mounted = sequence_.lidar_of(frame).vehicle_from_sensor;
-    const int n_sectors = sequence_.rolling_shutter ? kAzimuthSectors : 1;
+    const Pose& mounted = log_.lidar_of(frame).vehicle_from_sensor;
+    const int n_sectors = log_.rolling_shutter ? kAzimuthSectors : 1;
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
         const glm::dvec3 middle_of_sector(std::cos(azimuth), std::sin(azimuth), 0.0);
-        const double time_s = facing_time_s(sequence_, middle_of_sector, timing_of(frame));
-        view.sensor_from_world.push_back(
-            inverse(sequence_.world_from_vehicle.mounted_pose_at(time_s, mounted)));
+        const double time_s = facing_time_s(log_, middle_of_sector, timing_of(frame));
+        view.sensor_from_world.push_back(inverse(log_.world_from_vehicle.mounted_pose_at(time_s, mounted)));
     }
     view.range_m = grids_[std::size_t(frame.lidar)].nearest_ranges_m(frame.scan);
 }
@@ -204,11 +203,10 @@ void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) co
 void VisibilityChecker::select_frames() {
     std::unordered_map<std::uint64_t, std::vector<ViewInRange>> in_range_of_tile;
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
-        const Lidar& lidar = sequence_.lidars[std::size_t(views_[v].lidar)];
+        const Lidar& lidar = log_.lidars[std::size_t(views_[v].lidar)];
         const double farthest_m = lidar.sensor.max_range_m + kGroundTile_m;
         glm::dvec3 sensor =
-            sequence_.world_from_vehicle.mounted_pose_at(views_[v].time_s, lidar.vehicle_from_sensor)
-                .translation;
+            log_.world_from_vehicle.mounted_pose_at(views_[v].time_s, lidar.vehicle_from_sensor).translation;
         sensor.z = 0.0;  // tiles are at z = 0, and distances horizontal
         for (double dx = -farthest_m; dx <= farthest_m; dx += kGroundTile_m)
             for (double dy = -farthest_m; dy <= farthest_m; dy += kGroundTile_m) {

@@ -6,7 +6,7 @@
 
 #include <unordered_map>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 
@@ -98,7 +98,7 @@ private:
         std::vector<std::uint32_t> views;
         bool is_requested = false;
     };
-    const Log& sequence_;
+    const Log& log_;
     std::vector<BeamGrid> grids_;  ///< [lidars]
     std::vector<int> positions_;   ///< [views] index of each view's frame in the log
     std::vector<VisibilityImage> views_;

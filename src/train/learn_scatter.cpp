@@ -16,7 +16,7 @@ constexpr int kMostFrames = 16;  // maximum number of frames per LiDAR
 std::vector<int> select_lidar_frames(const Run& run, int lidar) {
     std::vector<int> positions;
     for (const int position : run.split.train)
-        if (run.sequence.frames[std::size_t(position)].lidar == lidar) positions.push_back(position);
+        if (run.log.frames[std::size_t(position)].lidar == lidar) positions.push_back(position);
     return select_evenly(positions, kMostFrames);
 }
 
@@ -36,10 +36,10 @@ std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
                                                  const ScanCallbacks& session) {
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
-    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    ScanRenderer renderer(device, run.scene, config, run.log);
     const IgnoredMeasurements masks = mask_movers(config, run.scene);
     std::vector<IntensityScatterModel> result;
-    for (int lidar = 0; lidar < int(run.sequence.lidars.size()); ++lidar) {
+    for (int lidar = 0; lidar < int(run.log.lidars.size()); ++lidar) {
         const std::vector<int> positions = select_lidar_frames(run, lidar);
         std::vector<PairedIntensities> images;
         for (const int position : positions) {
@@ -47,10 +47,9 @@ std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
             if (session.progress)
                 session.progress("learning the scatter of intensities",
                                  double(images.size()) / double(positions.size()));
-            const Frame& frame = run.sequence.frames[std::size_t(position)];
-            const RenderedScan scan =
-                renderer.render(nominal_sensor(config, run.sequence, frame), frame.time_s);
-            images.push_back({make_noise_image(scan), known_intensities(run.sequence, frame, masks)});
+            const Frame& frame = run.log.frames[std::size_t(position)];
+            const RenderedScan scan = renderer.render(nominal_sensor(config, run.log, frame), frame.time_s);
+            images.push_back({make_noise_image(scan), known_intensities(run.log, frame, masks)});
         }
         result.push_back(fit_scatter(images));
         if (session.progress) session.progress("learning the scatter of intensities", 1.0);

@@ -33,8 +33,8 @@ void hide_carriers(Log& log, const Split& split, const LogPreparationCallbacks& 
 }
 
 /// Returns true if the log has poses from which the registration can start.
-bool has_usable_poses(const Log& sequence, const Config& config) {
-    return config.dataset.poses != kNoPoses && sequence.has_poses;
+bool has_usable_poses(const Log& log, const Config& config) {
+    return config.dataset.poses != kNoPoses && log.has_poses;
 }
 
 /// How much the registration changed the poses: median and maximum.
@@ -178,17 +178,16 @@ void report_unobserved(Log& log, const Split& split, const Config& config,
 
 /// Registers the scans of the log with each other.
 /// @return nothing if the registration fails and the poses of the log may be used instead
-std::optional<RegistrationResult> run_registration(const Log& sequence, const Split& split,
-                                                   const Config& config,
+std::optional<RegistrationResult> run_registration(const Log& log, const Split& split, const Config& config,
                                                    const LogPreparationCallbacks& session) {
     try {
-        RegistrationOptions options = registration_options(sequence, config);
+        RegistrationOptions options = registration_options(log, config);
         options.stop = session.stop;
         options.progress = session.progress;
         options.group = session.group;
-        return register_scans(sequence, split, options);
+        return register_scans(log, split, options);
     } catch (const DataError& error) {
-        if (!config.train.allow_lost_scans && !has_usable_poses(sequence, config)) throw;
+        if (!config.train.allow_lost_scans && !has_usable_poses(log, config)) throw;
         session.report_line(fmt::format("{}; the poses of the log are used instead", error.what()));
         return std::nullopt;
     }
@@ -212,9 +211,9 @@ std::string describe_registration(const RegistrationResult& registration, const 
 /// Estimates the vehicle poses by registering the scans of the log with each other, and
 /// prints the result.
 /// @return registration; `done` is true if it has new poses
-RegistrationResult register_log(Log& sequence, const Split& split, const Config& config,
+RegistrationResult register_log(Log& log, const Split& split, const Config& config,
                                 const LogPreparationCallbacks& session) {
-    std::optional<RegistrationResult> result = run_registration(sequence, split, config, session);
+    std::optional<RegistrationResult> result = run_registration(log, split, config, session);
     if (!result) return {};
     if (result->stopped)
         throw Error(ExitCode::interrupted,
@@ -222,16 +221,16 @@ RegistrationResult register_log(Log& sequence, const Split& split, const Config&
     if (!result->done) return std::move(*result);
 
     // Corrections of the log's poses are meaningful only if the log has poses.
-    const bool has_poses = has_usable_poses(sequence, config);
-    const PoseCorrectionStatistics corrections(sequence.world_from_vehicle, result->world_from_vehicle);
+    const bool has_poses = has_usable_poses(log, config);
+    const PoseCorrectionStatistics corrections(log.world_from_vehicle, result->world_from_vehicle);
     session.report_line(describe_registration(
         *result, has_poses ? corrections.describe() : describe_length(result->world_from_vehicle)));
     const std::string warning = corrections.describe_large();
     if (has_poses && !warning.empty()) {
         session.report_line(warning);
-        sequence.notes.push_back(warning);  // the command `info` prints notes
+        log.notes.push_back(warning);  // the command `info` prints notes
     }
-    report_unregistered(sequence, *result, config, session);
+    report_unregistered(log, *result, config, session);
     return std::move(*result);
 }
 
@@ -249,11 +248,11 @@ void register_vehicle(Log& log, const Split& split, const Config& config,
 }
 
 /// Estimates a range offset for each beam, so that beams agree on the position of planes.
-void calibrate_offsets(Log& sequence, const Split& split, const SensorConfig& config,
+void calibrate_offsets(Log& log, const Split& split, const SensorConfig& config,
                        const LogPreparationCallbacks& session) {
-    const std::size_t n_beams = sequence.count_beams();
+    const std::size_t n_beams = log.count_beams();
     if (n_beams <= 1 || !config.calibrates("range")) return;
-    const RangeCalibrationResult calibration = calibrate_ranges(sequence, split.train);
+    const RangeCalibrationResult calibration = calibrate_ranges(log, split.train);
     session.report_line(fmt::format(
         "range calibration of {} beams ({:.1f} million returns): the mean distance of points from planes is "
         "{:.1f} mm without and {:.1f} mm with a range offset for each beam; {}",
@@ -265,8 +264,8 @@ void calibrate_offsets(Log& sequence, const Split& split, const SensorConfig& co
 
 /// Estimates how intensities depend on the beam, the range and the angle of incidence,
 /// and prints how much this correction reduces the differences.
-void calibrate_intensities(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
-    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, split.train);
+void calibrate_intensities(Log& log, const Split& split, const LogPreparationCallbacks& session) {
+    const IntensityCalibrationResult calibration = calibrate_intensity(log, split.train);
     const std::string text = fmt::format(
         "intensity calibration ({:.1f} million returns): intensities of the same surface differ by {:.3f} "
         "(RMS)",
@@ -280,7 +279,7 @@ void calibrate_intensities(Log& sequence, const Split& split, const LogPreparati
     std::vector<std::string> corrections;
     if (calibration.beams) corrections.emplace_back("the correction has one gain and offset per beam");
     if (calibration.shared) {
-        const IntensityResponse& response = sequence.intensity_response;
+        const IntensityResponse& response = log.intensity_response;
         constexpr double kCosineOf60Deg = 0.5;
         corrections.push_back(fmt::format(
             "the intensity decreases to a factor of {:.2f} at 40 m and {:.2f} at an incidence angle of 60 "
@@ -293,9 +292,9 @@ void calibrate_intensities(Log& sequence, const Split& split, const LogPreparati
 }
 
 /// Prints the measured noise of each LiDAR's ranges at 10 m and 40 m.
-void report_range_noise(const Log& sequence, const LogPreparationCallbacks& session) {
+void report_range_noise(const Log& log, const LogPreparationCallbacks& session) {
     constexpr double kPerpendicular = 1.0;  // cosine of the incidence angle
-    for (const Lidar& lidar : sequence.lidars) {
+    for (const Lidar& lidar : log.lidars) {
         if (lidar.range_noise.sigma_m.empty()) continue;
         session.report_line(
             fmt::format("range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (standard deviation on "
@@ -315,31 +314,31 @@ void check_interrupted(const LogPreparationCallbacks& session) {
 
 /// Calibrates ranges, noise and intensities of all LiDARs. The first process computes the
 /// results and sends them. Offsets of beams come first, because they look like noise.
-void calibrate_lidars(Log& sequence, const Split& split, const SensorConfig& config,
+void calibrate_lidars(Log& log, const Split& split, const SensorConfig& config,
                       const LogPreparationCallbacks& session) {
     if (session.group.is_first()) {
         check_interrupted(session);
-        calibrate_offsets(sequence, split, config, session);
+        calibrate_offsets(log, split, config, session);
         check_interrupted(session);
-        calibrate_noise(sequence, split.train);
-        report_range_noise(sequence, session);
+        calibrate_noise(log, split.train);
+        report_range_noise(log, session);
         check_interrupted(session);
-        if (config.calibrates("intensity")) calibrate_intensities(sequence, split, session);
+        if (config.calibrates("intensity")) calibrate_intensities(log, split, session);
     }
     // Replaces the values by those of the first process.
     const auto broadcast_from_first = [&](auto& values) {
         values = session.group.broadcast(std::move(values));
     };
-    for (Lidar& lidar : sequence.lidars) {
+    for (Lidar& lidar : log.lidars) {
         broadcast_from_first(lidar.sensor.beams);
         broadcast_from_first(lidar.range_noise.range_m);
         broadcast_from_first(lidar.range_noise.cosine);
         broadcast_from_first(lidar.range_noise.sigma_m);
     }
-    broadcast_from_first(sequence.intensity_response.range_m);
-    broadcast_from_first(sequence.intensity_response.factor);
-    sequence.intensity_response.incidence =
-        session.group.broadcast(std::vector{sequence.intensity_response.incidence}).front();
+    broadcast_from_first(log.intensity_response.range_m);
+    broadcast_from_first(log.intensity_response.factor);
+    log.intensity_response.incidence =
+        session.group.broadcast(std::vector{log.intensity_response.incidence}).front();
 }
 
 /// Returns a text with the id, size, mean speed and duration of a box.
@@ -374,18 +373,17 @@ Progress interruptible_progress(const LogPreparationCallbacks& session) {
 
 /// Detects moving objects without a label, and adds their boxes to the log. Also extends
 /// tracks of labelled objects to frames without a label.
-void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
+void add_movers(Log& log, const Split& split, const LogPreparationCallbacks& session) {
     std::vector<std::string> movers, extended;
-    for (BoxTrack& box :
-         discover_tracks(sequence, split.train, interruptible_progress(session), session.group)) {
+    for (BoxTrack& box : discover_tracks(log, split.train, interruptible_progress(session), session.group)) {
         // Only a labelled track has positions added before or after its labels.
         const bool is_labelled = box.n_before + box.n_after > 0;
         if (is_labelled) {
             extended.push_back(describe_extension(box));
-            *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
+            *std::ranges::find(log.boxes, box.id, &BoxTrack::id) = std::move(box);
         } else {
             movers.push_back(describe_box(box));
-            sequence.boxes.push_back(std::move(box));
+            log.boxes.push_back(std::move(box));
         }
     }
     session.report_line(fmt::format("detected {} moving object{} without a labelled box{}{}", movers.size(),
@@ -399,11 +397,11 @@ void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks
 
 /// Refines the poses of moving boxes by registering their points. The first process
 /// computes and reports the poses, and sends them to the other processes.
-void refine_boxes(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
+void refine_boxes(Log& log, const Split& split, const LogPreparationCallbacks& session) {
     ActorRegistrationResult registration;
     if (session.group.is_first())
-        registration = register_actors(sequence, split.train, interruptible_progress(session));
-    for (BoxTrack& box : sequence.boxes)
+        registration = register_actors(log, split.train, interruptible_progress(session));
+    for (BoxTrack& box : log.boxes)
         box.world_from_box.pose = session.group.broadcast(std::move(box.world_from_box.pose));
     if (registration.n_actors == 0) return;  // no moving boxes, or not the first process
     session.report_line(fmt::format(
@@ -414,12 +412,12 @@ void refine_boxes(Log& sequence, const Split& split, const LogPreparationCallbac
 
 }  // namespace
 
-RegistrationOptions registration_options(const Log& sequence, const Config& config) {
+RegistrationOptions registration_options(const Log& log, const Config& config) {
     RegistrationOptions options;
-    options.use_pose_motion = has_usable_poses(sequence, config);
+    options.use_pose_motion = has_usable_poses(log, config);
     // Treats all boxes as moving if vehicle poses are unknown, because the motion of a
     // box in the world is then also unknown.
-    for (const BoxTrack& box : sequence.boxes)
+    for (const BoxTrack& box : log.boxes)
         if (!options.use_pose_motion || box.is_moving()) options.movers.push_back(box);
     return options;
 }

@@ -41,7 +41,7 @@ TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
     if (n_steps < 1 || n_steps > kMostTimedSteps)
         fail<UsageError>("cannot measure the training speed: found {} steps, expected 1 to {}", n_steps,
                          kMostTimedSteps);
-    TrainLoop loop(device, run.sequence, run.split, run.scene, run.config);
+    TrainLoop loop(device, run.log, run.split, run.scene, run.config);
     // Runs the last iterations of the training (or the first): the warm-up, then n_steps.
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);

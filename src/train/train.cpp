@@ -132,24 +132,24 @@ void fill_result(TrainLoop& loop, Device& device, const Log& log, const Split& s
 
 }  // namespace
 
-TrainResult train(Device& device, const Log& sequence, const Split& split, const Config& config,
+TrainResult train(Device& device, const Log& log, const Split& split, const Config& config,
                   const TrainProgressCallback& progress, const TrainSession& session) {
     if (split.train.empty())
-        fail("cannot train on {}: it has no training frames; expected at least one", sequence.name);
-    if (session.start) check_resume(*session.start, sequence, split, config);
+        fail("cannot train on {}: it has no training frames; expected at least one", log.name);
+    if (session.start) check_resume(*session.start, log, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
     begin_stage(session.stages, "initialise");
     const Scene initial =
-        session.start ? read_scene(*session.start) : initial_scene(sequence, split, config, session);
+        session.start ? read_scene(*session.start) : initial_scene(log, split, config, session);
     result.initialise_s = seconds_since(begin);
-    report_ignored(initial, sequence, config, session);
+    report_ignored(initial, log, config, session);
 
     begin_stage(session.stages, "train");
     // must outlive the training loop, which stores a reference to these settings
-    const Config training_config = with_useful_poses(config, sequence, split, initial, session);
+    const Config training_config = with_useful_poses(config, log, split, initial, session);
     if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
-    TrainLoop loop(device, sequence, split, initial, training_config);
+    TrainLoop loop(device, log, split, initial, training_config);
     loop.add_losses(session.losses);
     if (session.progress) session.progress("allocating memory and loading kernels", 1.0);
     report_evicted(loop.training_frames(), config, session);
@@ -157,10 +157,10 @@ TrainResult train(Device& device, const Log& sequence, const Split& split, const
         loop.restore_from(*session.start);
         read_log(*session.start, config, result);
     }
-    CheckpointKeeper checkpoints(sequence, split, config, session);
+    CheckpointKeeper checkpoints(log, split, config, session);
     run_iterations(loop, checkpoints, config, progress, session, result);
     const Clock::time_point trained = Clock::now();
-    fill_result(loop, device, sequence, split, config, session, result);
+    fill_result(loop, device, log, split, config, session, result);
     result.train_s += seconds_since(trained);
     result.times = loop.training_times();
     result.peak_device_bytes = device.peak_bytes();
@@ -172,8 +172,8 @@ void move_result(Run& run, TrainResult& result) {
     run.coverage = std::move(result.coverage);
     run.classes = std::move(result.classes);
     if (!result.poses) return;
-    run.sequence.world_from_vehicle = std::move(result.poses->world_from_vehicle);
-    run.sequence.boxes = std::move(result.poses->boxes);
+    run.log.world_from_vehicle = std::move(result.poses->world_from_vehicle);
+    run.log.boxes = std::move(result.poses->boxes);
     run.refined_poses = run.config.train.refine_poses;
 }
 

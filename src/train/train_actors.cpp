@@ -76,14 +76,14 @@ struct ActorTrainingSection {
 /// An actor has its pose and that of the sensor at the time when the LiDAR head faces it.
 /// @param tracks  [lidars] poses of each sensor in the world
 FrameWithSightings find_sightings(const Run& run, int index, const std::vector<PoseTrack>& tracks) {
-    const Frame& frame = run.sequence.frames[std::size_t(index)];
+    const Frame& frame = run.log.frames[std::size_t(index)];
     const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
     FrameWithSightings result{.position = index,
                               .sensor_m = world_from_sensor.pose_at(frame.time_s).translation};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
-    const std::vector<InstancePose> placed = pose_instances(run.scene, run.sequence, timing_of(frame));
+    const std::vector<InstancePose> placed = pose_instances(run.scene, run.log, timing_of(frame));
     for (std::size_t i = 0; i < run.scene.instances.size(); ++i) {
-        const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
+        const BoxTrack* box = find_box(run.log, run.scene.instances[i].track);
         if (!box || !placed[i].present) continue;  // the background has no box
         const ActorSighting actor{.sensor_m = world_from_sensor.pose_at(placed[i].time_s).translation,
                                   .placed = placed[i],
@@ -128,16 +128,16 @@ Scan select_actor_rays(const Run& run, const Frame& frame, const PoseTrack& worl
     const Scan& all = frame.scan;
     const auto is_near_actor = [&](std::size_t ray) {
         const WorldRay world_ray =
-            make_world_ray(world_from_sensor, frame.time_s, all.rays, ray, run.sequence.rolling_shutter);
+            make_world_ray(world_from_sensor, frame.time_s, all.rays, ray, run.log.rolling_shutter);
         // Firing time relative to the sweep's reference time. The actor moves meanwhile.
-        const double offset_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[ray]) : 0.0;
+        const double offset_s = run.log.rolling_shutter ? double(all.rays.time_offset_s[ray]) : 0.0;
         return std::ranges::any_of(
             visible_actors, [&](const ActorSighting& actor) { return actor.hits_box(world_ray, offset_s); });
     };
-    const BodyTable& own_body = run.sequence.lidar_of(frame).own_body;
+    const BodyTable& own_body = run.log.lidar_of(frame).own_body;
     const auto is_usually_dropped = [&](std::size_t ray) {
         if (own_body.hides(all.rays.direction[ray], all.range_m[ray])) return true;
-        const auto beam = run.sequence.find_global_beam(frame.lidar, all.rays.channel[ray]);
+        const auto beam = run.log.find_global_beam(frame.lidar, all.rays.channel[ray]);
         return beam &&
                run.scene.sensor_drop.probability_of(*beam, all.rays.direction[ray]) > kMaxDropProbability;
     };
@@ -159,7 +159,7 @@ Log section_log(const Run& run, const ActorTrainingSection& section, const std::
     std::vector<Frame> frames(section.frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
         const FrameWithSightings& sighted = section.frames[std::size_t(index)];
-        const Frame& full_frame = run.sequence.frames[std::size_t(sighted.position)];
+        const Frame& full_frame = run.log.frames[std::size_t(sighted.position)];
         const PoseTrack& world_from_sensor = tracks[std::size_t(full_frame.lidar)];
         frames[std::size_t(index)] = {
             .index = full_frame.index,
@@ -168,7 +168,7 @@ Log section_log(const Run& run, const ActorTrainingSection& section, const std::
             .lidar = full_frame.lidar,
             .start = full_frame.start};
     });
-    Log log = strip_frames(run.sequence);
+    Log log = strip_frames(run.log);
     for (Frame& frame : frames)
         if (frame.scan.rays.columns > 0) log.frames.push_back(std::move(frame));
     return log;
@@ -273,8 +273,8 @@ TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCall
     const bool has_actors = run.scene.instances.size() >= 2;
     if (n_epochs == 0 || !has_actors) return TrainingEndReason::finished;
     std::vector<PoseTrack> tracks;  // [lidars] one pose for each sweep of the log
-    for (std::size_t lidar = 0; lidar < run.sequence.lidars.size(); ++lidar)
-        tracks.push_back(run.sequence.lidar_track(static_cast<int>(lidar)));
+    for (std::size_t lidar = 0; lidar < run.log.lidars.size(); ++lidar)
+        tracks.push_back(run.log.lidar_track(static_cast<int>(lidar)));
     const std::vector<ActorTrainingSection> sections = divide_log(run, tracks);
     int n_frames = 0, step = 0;
     for (const ActorTrainingSection& section : sections) n_frames += static_cast<int>(section.frames.size());

@@ -166,18 +166,18 @@ std::optional<RangeImageGrid> training_grid(const Config& config) {
 /// Allocates everything that training needs: frames on the device, renderer with
 /// gradients, losses, optimizer and densification. The order of the members matters,
 /// because later members use earlier ones.
-TrainLoop::TrainLoop(Device& device, const Log& sequence, const Split& split, const Scene& initial,
+TrainLoop::TrainLoop(Device& device, const Log& log, const Split& split, const Scene& initial,
                      const Config& config, std::uint32_t n_fixed_surfels, std::optional<double> extent_m)
     : config_(config),
       n_fixed_(n_fixed_surfels),
       // The training frames, batches of their rays, and corrections of their poses.
-      frames_(device, sequence, split.train,
-              {.unknown = training_mask(sequence, split, initial, config),
+      frames_(device, log, split.train,
+              {.unknown = training_mask(log, split, initial, config),
                .moves_rays = config.train.refines("sensor"),
                .resident_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
                .grid = training_grid(config)}),
       batches_(device, config, frames_.all()),
-      refiner_(device, sequence, initial, config.train, frames_, unobserved_motions(sequence, split, config)),
+      refiner_(device, log, initial, config.train, frames_, unobserved_motions(log, split, config)),
       differentiable_(device, initial, config.image,
                       {.accel = choose_refit(config, n_fixed_surfels).accel,
                        .trace = training_options(config),
@@ -199,7 +199,7 @@ TrainLoop::TrainLoop(Device& device, const Log& sequence, const Split& split, co
     // Poses and motions of the actors during the sweep of each frame.
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed =
-            pose_instances(initial, sequence, timing_of(sequence.frames[std::size_t(frames_[i].position)]));
+            pose_instances(initial, log, timing_of(log.frames[std::size_t(frames_[i].position)]));
     adam_.set_logit_factors(logit_factors(initial, frames_.all(), config.train));
     // Densification splits large surfels, so it needs no limit.
     if (config.densify.strategy == DensifyStrategy::none)
@@ -386,7 +386,7 @@ void TrainLoop::restore_from(const Checkpoint& checkpoint) {
     refiner_.update_corrected();
 }
 
-RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
+RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& log) {
     // In a long log, a batch of each or of every n-th frame suffices. In a short log,
     // several batches of a frame, or all, give each bin of the drop table (a beam and an
     // azimuth interval) about kRaysPerBin rays.
@@ -412,10 +412,10 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
         const auto n_batches = static_cast<std::uint32_t>(
             std::clamp<std::size_t>(rays_per_frame / kRaysPerBatch, 1, batches.count_batches(frame)));
         for (std::uint32_t batch = 0; batch < n_batches; ++batch)
-            add_checked_rays(rays, sequence, frame, batches.gather(stream_, frame, start, batch));
+            add_checked_rays(rays, log, frame, batches.gather(stream_, frame, start, batch));
     }
     RayDropTable drops = find_drop_excess(observed, rays);
-    drop_unobserved(drops, observed, sequence);
+    drop_unobserved(drops, observed, log);
     return drops;
 }
 

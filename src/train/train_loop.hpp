@@ -48,9 +48,8 @@ public:
     /// @param n_fixed_surfels  the first n_fixed_surfels surfels of the scene are not
     /// trained
     /// @param extent_m  of the background; if empty, computed from the initial scene
-    TrainLoop(Device& device, const Log& sequence, const Split& split, const Scene& initial,
-              const Config& config, std::uint32_t n_fixed_surfels = 0,
-              std::optional<double> extent_m = std::nullopt);
+    TrainLoop(Device& device, const Log& log, const Split& split, const Scene& initial, const Config& config,
+              std::uint32_t n_fixed_surfels = 0, std::optional<double> extent_m = std::nullopt);
     ~TrainLoop();
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
@@ -81,7 +80,7 @@ public:
     void restore_from(const Checkpoint& checkpoint);
     /// Returns the rates at which the sensor drops rays that the scene returns. Waits for
     /// the device.
-    RayDropTable sensor_drop_rates(Device& device, const Log& sequence);
+    RayDropTable sensor_drop_rates(Device& device, const Log& log);
     std::optional<RefinedPoses> refined_poses() const {
         return refiner_.is_enabled() ? std::optional(refiner_.refined_poses()) : std::nullopt;
     }

@@ -19,7 +19,7 @@ namespace fs = std::filesystem;
 template <class Name>
 void read_bag(std::string_view input, const fs::path& folder, Name name) {
     put(folder / name, input);
-    load_sequence("rosbag:" + (folder / name).string(), {});
+    load_log("rosbag:" + (folder / name).string(), {});
 }
 void read_mcap(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.mcap"); }
 void read_ros1(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.bag"); }
@@ -87,7 +87,7 @@ void read_ousters(std::string_view input, const fs::path&) {
 
 void read_pcap(std::string_view input, const fs::path& folder) {
     put(folder / "input.pcap.gz", input);
-    load_sequence("pcap:" + (folder / "input.pcap.gz").string(), {});
+    load_log("pcap:" + (folder / "input.pcap.gz").string(), {});
 }
 
 /// An input is the size of a packet (16 bits), and packets.

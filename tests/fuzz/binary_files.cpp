@@ -46,12 +46,12 @@ void read_classes(const fs::path& file) {
 }
 
 void write_sweeps(const fs::path& file) {
-    files::save_azimuths(file, make_example_run(file.parent_path()).sequence);
+    files::save_azimuths(file, make_example_run(file.parent_path()).log);
 }
 
 void read_sweeps(const fs::path& file) {
-    Log sequence = make_example_run(file.parent_path()).sequence;
-    files::load_azimuths(file, sequence);
+    Log log = make_example_run(file.parent_path()).log;
+    files::load_azimuths(file, log);
 }
 
 void write_network(const fs::path& file) {

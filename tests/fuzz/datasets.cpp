@@ -46,7 +46,7 @@ struct Argoverse2 {
     ChangedFiles files{{log.sweep(0), log.sweep(1), log.file("annotations.feather"),
                         log.file("city_SE3_egovehicle.feather"),
                         log.file("calibration/egovehicle_SE3_sensor.feather")}};
-    void load() const { load_sequence("argoverse2:" + log.folder.string(), {}); }
+    void load() const { load_log("argoverse2:" + log.folder.string(), {}); }
 };
 
 struct Nuscenes {
@@ -55,26 +55,26 @@ struct Nuscenes {
                         log.table("calibrated_sensor"), log.table("sample_data"), log.table("ego_pose"),
                         log.table("sample_annotation"), log.table("instance"), log.table("category"),
                         log.sweep(0), log.sweep(4)}};
-    void load() const { load_sequence("nuscenes:" + log.folder.string(), {.sequence = "scene-0103"}); }
+    void load() const { load_log("nuscenes:" + log.folder.string(), {.sequence = "scene-0103"}); }
 };
 
 struct Boreas {
     test::BoreasFolder log{"fuzz", 0, 40};
     ChangedFiles files{{log.poses(), log.calibration(), log.scan(1)}};
-    void load() const { load_sequence("boreas:" + log.folder.string(), {}); }
+    void load() const { load_log("boreas:" + log.folder.string(), {}); }
 };
 
 struct Mulran {
     test::MulranFolder log{"fuzz"};
     ChangedFiles files{{log.poses()}};
     // only two frames, because a scan has 65536 points
-    void load() const { load_sequence("mulran:" + log.folder.string(), {.frames = {1, 2}}); }
+    void load() const { load_log("mulran:" + log.folder.string(), {.frames = {1, 2}}); }
 };
 
 struct Once {
     test::OnceFolder log{"fuzz", false, 60};
     ChangedFiles files{{log.json(), log.scan(1)}};
-    void load() const { load_sequence("once:" + log.folder.string(), {}); }
+    void load() const { load_log("once:" + log.folder.string(), {}); }
 };
 
 struct Ncore {
@@ -87,13 +87,13 @@ struct Ncore {
          frame / "ray_bundle/direction/.zarray", frame / "ray_bundle/direction/0.0",
          frame / "ray_bundle/timestamp_us/0", frame / "ray_bundle/model_element/0.0",
          frame / "ray_bundle_returns/distance_m/0.0", frame / "ray_bundle_returns_valid_mask_packed/0"}};
-    void load() const { load_sequence("ncore:" + log.folder.string(), {}); }
+    void load() const { load_log("ncore:" + log.folder.string(), {}); }
 };
 
 /// The input is an archive, or a chunk of an array.
 void read_itar(std::string_view input, const fs::path& folder) {
     put(folder / "input.zarr.itar", input);
-    if (!input.starts_with('\2')) load_sequence("ncore:" + (folder / "input.zarr.itar").string(), {});
+    if (!input.starts_with('\2')) load_log("ncore:" + (folder / "input.zarr.itar").string(), {});
     else decompress_blosc(input);
 }
 
@@ -143,7 +143,7 @@ std::string file_of(std::string_view input, const test::WaymoSegment& segment) {
 void read_waymo(std::string_view input, const fs::path& folder) {
     const test::WaymoSegment& segment = make_segment_in(folder);
     put(segment.file, file_of(input, segment));
-    load_sequence("waymo:" + segment.file.string(), {});
+    load_log("waymo:" + segment.file.string(), {});
 }
 
 template <class Dataset>
@@ -195,7 +195,7 @@ void read_folder(std::string_view input, const fs::path& folder) {
         put(log / name, input.substr(0, end));
         input.remove_prefix(std::min(end + kParting.size(), input.size()));
     }
-    load_sequence("folder:" + log.string(), {});
+    load_log("folder:" + log.string(), {});
 }
 
 fs::path make_image_log_in(const fs::path& folder) {
@@ -213,7 +213,7 @@ fs::path make_image_log_in(const fs::path& folder) {
 void read_exr_scan(std::string_view input, const fs::path& folder) {
     const fs::path log = make_image_log_in(folder);
     put(log / "scans/0.exr", input);
-    load_sequence("folder:" + log.string(), {});
+    load_log("folder:" + log.string(), {});
 }
 
 }  // namespace

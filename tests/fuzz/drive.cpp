@@ -76,9 +76,9 @@ void read_drive_texts(const Drive& drive, unsigned options) {
     const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
     attempt_all({[&] { kitti::read_sweep_s(drive.log.folder); },
                  [&] {
-                     Log sequence;
+                     Log log;
                      kitti::read_frame_times(drive.log.folder / "velodyne_points/timestamps.txt", frames,
-                                             sequence);
+                                             log);
                  },
                  [&] {
                      if (options & kPosesFile) kitti::read_matrices(drive.poses, frames);
@@ -99,11 +99,11 @@ void read_all_frames(const Drive& drive, unsigned options) {
     DatasetOptions dataset = to_dataset(options);
     if ((options & kPosesFile) && !(options & kNone)) dataset.poses_file = drive.poses;
     dataset.allow_missing_scans = !(options & kAllScans);
-    load_sequence("kitti_raw:" + drive.log.folder.string(), dataset);
+    load_log("kitti_raw:" + drive.log.folder.string(), dataset);
 }
 
 void read_odometry(const Drive& drive, unsigned options) {
-    load_sequence("kitti_odometry:" + drive.odometry.string(), to_dataset(options));
+    load_log("kitti_odometry:" + drive.odometry.string(), to_dataset(options));
 }
 
 struct Kitti360 {
@@ -123,7 +123,7 @@ struct Kitti360 {
 };
 
 void read_kitti_360(const Kitti360& kitti, unsigned options) {
-    load_sequence("kitti360:" + kitti.log.folder.string(), to_dataset(options));
+    load_log("kitti360:" + kitti.log.folder.string(), to_dataset(options));
 }
 
 void read_kitti_360_texts(const Kitti360& kitti, unsigned) {

@@ -56,7 +56,7 @@ struct Served {
     explicit Served(const fs::path& folder) : sources{{"town", folder}} {
         Run run = make_example_run(folder);
         run.scene = wrap_background({});
-        for (const BoxTrack& box : run.sequence.boxes) {
+        for (const BoxTrack& box : run.log.boxes) {
             ModelInstance instance;
             instance.track = box.id;
             run.scene.instances.push_back(instance);

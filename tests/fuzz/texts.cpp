@@ -26,13 +26,13 @@ void read_street(std::string_view input, const fs::path& folder) {
     put(folder / "street.toml", input);
     const StreetOptions street = load_street(folder);
     if (double(street.rows) * street.columns > 2000.0 && street.rows <= 256 && street.columns <= 8192) return;
-    load_sequence("synthetic:" + folder.string(), {.frames = {0, 1}});
+    load_log("synthetic:" + folder.string(), {.frames = {0, 1}});
 }
 
 /// The harness "sweeps" reads the azimuths, which depend on the sensor of an input.
 Run run_without_sweeps(const fs::path& folder) {
     Run run = make_example_run(folder);
-    for (Frame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
+    for (Frame& frame : run.log.frames) frame.azimuth_shift_rad.clear();
     return run;
 }
 
@@ -44,22 +44,22 @@ void read_scene(std::string_view input, const fs::path& folder) {
     }();
     put(run.folder / "scene.json", input);
     const Run read = load_run(run.folder);
-    const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
+    const SpinningSensor& sensor = read.log.lidars[0].sensor;
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
-    for (const BoxTrack& box : read.sequence.boxes) (void)box.is_observed(read.sequence.frames[0].time_s);
-    for (const Lidar& lidar : read.sequence.lidars)  // creates the rays only if their number is small
+    for (const BoxTrack& box : read.log.boxes) (void)box.is_observed(read.log.frames[0].time_s);
+    for (const Lidar& lidar : read.log.lidars)  // creates the rays only if their number is small
         if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) make_lidar_rays(lidar, 0.0);
-    split_frames(read.sequence, 10);
+    split_frames(read.log, 10);
 }
 
 std::vector<std::string> make_scene_seeds(const fs::path& folder) {
     save_run(run_without_sweeps(folder / "seed_run"));
     std::vector<std::string> seeds{read_contents(folder / "seed_run/scene.json")};
     Run fixed = run_without_sweeps(folder / "seed_run");
-    fixed.sequence.lidars[0].sensor.beams.clear();
-    fixed.sequence.lidars[0].sensor.columns = 0;
+    fixed.log.lidars[0].sensor.beams.clear();
+    fixed.log.lidars[0].sensor.columns = 0;
     for (const char* name : {"window-128", "rosette"}) {
-        fixed.sequence.lidars[0].pattern = other_pattern(find_sensor(name));
+        fixed.log.lidars[0].pattern = other_pattern(find_sensor(name));
         save_run(fixed);
         seeds.push_back(read_contents(folder / "seed_run/scene.json"));
     }

@@ -42,7 +42,7 @@ def config():
 
 @functools.cache
 def log():
-    return relidar.load_sequence(street(), config())
+    return relidar.load_log(street(), config())
 
 
 @functools.cache

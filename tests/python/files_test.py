@@ -40,12 +40,12 @@ class Logs(TestCase):
         np.testing.assert_array_equal(log().mountings[""], np.eye(4))
 
     def test_settings_choose_frames(self):
-        part = relidar.load_sequence(street(), relidar.Config("quick", {"dataset.frames_begin": 2, "dataset.frames_end": 5}))
+        part = relidar.load_log(street(), relidar.Config("quick", {"dataset.frames_begin": 2, "dataset.frames_end": 5}))
         np.testing.assert_array_equal(part.frame_numbers, [2, 3, 4])
 
     def test_bad_input(self):
-        self.assert_fails(relidar.DataError, "nowhere", relidar.load_sequence, "nowhere")
-        self.assert_fails(relidar.UsageError, "'kity'", relidar.load_sequence, "kity:street")
+        self.assert_fails(relidar.DataError, "nowhere", relidar.load_log, "nowhere")
+        self.assert_fails(relidar.UsageError, "'kity'", relidar.load_log, "kity:street")
         for position in (8, -1):
             with self.assertRaises(IndexError):
                 log().scan(position)

@@ -160,7 +160,7 @@ class Evaluate(TestCase):
 
     def test_bad_input(self):
         self.assert_fails(relidar.UsageError, "\"nerest\" ... nearest-actors", relidar.evaluate, run(), log(), baseline="nerest")
-        part = relidar.load_sequence(street(), relidar.Config("quick", {"dataset.frames_end": 3}))
+        part = relidar.load_log(street(), relidar.Config("quick", {"dataset.frames_end": 3}))
         self.assert_fails(relidar.DataError, "frame 4", relidar.evaluate, run(), part)
 
 

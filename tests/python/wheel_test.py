@@ -20,7 +20,7 @@ import importlib.metadata, pathlib, relidar
 print(pathlib.Path(relidar.__file__).parent)
 print(importlib.metadata.version("relidar"), relidar.__version__)
 relidar.save_street("street", n_frames=2, rows=4, columns=16)
-print(len(relidar.load_sequence("street", relidar.Config("quick")).times))
+print(len(relidar.load_log("street", relidar.Config("quick")).times))
 """
 
 

@@ -200,7 +200,7 @@ Log make_staggered_street(double off_s) {
                         ? frame.scan
                         : cast_street_rays(make_two_lidar_options(), rays, together.lidar_track(1), time_s);
     }
-    check_sequence(street);
+    check_log(street);
     return street;
 }
 

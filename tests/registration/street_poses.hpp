@@ -3,7 +3,7 @@
 
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "read/datasets/street/street.hpp"
 

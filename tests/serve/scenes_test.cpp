@@ -33,7 +33,7 @@ protected:
         const relidar::Run& run = scenes.runs()[scene];
         std::vector<float> range_m;
         scenes.use_scene(scene, {}, [&](ScanRenderer& renderer) {
-            range_m = renderer.render(make_sensor(run.config, run.sequence), request).image.range_m;
+            range_m = renderer.render(make_sensor(run.config, run.log), request).image.range_m;
         });
         return range_m;
     }

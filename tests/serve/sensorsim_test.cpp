@@ -246,10 +246,10 @@ TEST_F(Sensorsim, AnswersUnderTheNameOfNuRec2610) {
 
 TEST_F(Sensorsim, LogicalIdTellsTheLidarsOfTheLogApart) {
     relidar::Run run = make_small_run(folder / "small");
-    run.sequence.lidars.push_back(run.sequence.lidars[0]);
-    run.sequence.lidars[0].name = "front";
-    run.sequence.lidars[1].name = "rear";
-    run.sequence.lidars[1].sensor.beams = {{0.05}, {-0.05}};
+    run.log.lidars.push_back(run.log.lidars[0]);
+    run.log.lidars[0].name = "front";
+    run.log.lidars[1].name = "rear";
+    run.log.lidars[1].sensor.beams = {{0.05}, {-0.05}};
     save_run(run);
     start_sensorsim();
     wire::LidarRenderRequest request = moving();

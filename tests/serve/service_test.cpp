@@ -19,8 +19,8 @@ protected:
         const relidar::Run run = load_run(folder / "small");
         ScanRenderer renderer(device(), run);
         renderer.set_weather(parse_weather(in_weather));
-        const SimulatedSensor choice = sensor.empty() ? make_sensor(run.config, run.sequence)
-                                                      : choose_sensor(sensor, run.config, run.sequence);
+        const SimulatedSensor choice =
+            sensor.empty() ? make_sensor(run.config, run.log) : choose_sensor(sensor, run.config, run.log);
         return renderer.render(choice, request, sample);
     }
     static void expect_same(const v1::LidarScan& scan, const RenderedScan& truth) {
@@ -109,7 +109,7 @@ TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
 
     const relidar::Run run = load_run(folder / "small");
     const RenderedScan scan = rendered({0.45, sensor_path}, "", {});
-    ScanOutputOptions format = default_options(run, make_sensor(run.config, run.sequence));
+    ScanOutputOptions format = default_options(run, make_sensor(run.config, run.log));
     format.formats = {"ply"};
     format.deskew = true;
     ScanFolderWriter(folder / "files", format).write_scan(0, scan);

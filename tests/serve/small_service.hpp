@@ -63,7 +63,7 @@ inline Run make_small_run(const std::filesystem::path& folder) {
     for (std::size_t i = 0; i < 2; ++i) surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
     run.scene.models = {{"background", 0, 1}, {"car", 1, 1}};
     run.scene.instances = {{0, ""}, {1, "car"}};
-    Log& log = run.sequence;
+    Log& log = run.log;
     log.lidars[0].sensor = {"small", {{0.1}, {0.0}, {-0.1}}, 64};
     log.lidars[0].sensor.first_azimuth_rad = kPi - kPi / 64;
     const Pose car{{1, 0, 0, 0}, {4, 0, 0}};

@@ -37,7 +37,7 @@ ActorAsset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
     if (primitive == PrimitiveType::gaussian) convert_surfels(surfels, PrimitiveType::gaussian, 0.1);
     run.scene.models = {{"background", 0, 0}, {name, 0, std::uint32_t(n_surfels)}};
     run.scene.instances = {{0, ""}, {1, name}};
-    run.sequence.boxes[0].id = name;
+    run.log.boxes[0].id = name;
     run.config.image.primitive = primitive;
     AssetDescription facts;
     facts.name = name;
@@ -124,9 +124,9 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
     for (const std::size_t i : {1u, 2u})
         edited = insert_track(std::move(edited), asset.driving_scene(), "van-1", {actor_poses[i].second});
     edited = remove_track(std::move(edited), "car");
-    ScanRenderer renderer(device(), edited.scene, run.config, edited.sequence);
+    ScanRenderer renderer(device(), edited.scene, run.config, edited.log);
     const RenderedScan truth =
-        renderer.render(make_sensor(run.config, run.sequence), {0.5, {{0.5}, {make_pose_at_x(0.0)}}});
+        renderer.render(make_sensor(run.config, run.log), {0.5, {{0.5}, {make_pose_at_x(0.0)}}});
     EXPECT_EQ(values<float>(scan.image().range_m()), truth.image.range_m);
     EXPECT_EQ(values<float>(scan.image().intensity()), truth.image.intensity);
     EXPECT_EQ(values<float>(scan.image().drop_probability()), truth.image.drop_prob);
@@ -264,13 +264,13 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
         SceneSet one(device(), sources, std::uint64_t(1) << 40, none);
         const relidar::Run& run = one.runs()[0];
         one.use_scene(0, {}, [&](ScanRenderer& renderer) {
-            renderer.render(make_sensor(run.config, run.sequence), request);
+            renderer.render(make_sensor(run.config, run.log), request);
         });
         budget = 2 * (device().allocated_bytes() - before);
     }
     const AssetCatalogue shelf({(folder / "more").string()});
     SceneSet scenes(device(), sources, before + budget, shelf);
-    const SimulatedSensor sensor = make_sensor(scenes.runs()[0].config, scenes.runs()[0].sequence);
+    const SimulatedSensor sensor = make_sensor(scenes.runs()[0].config, scenes.runs()[0].log);
     const auto ranges = [&] {
         std::vector<float> range_m;
         scenes.use_scene(

@@ -26,7 +26,7 @@ OPEN_FOLDERS = ("src/base/", "src/gpu/", "src/log/", "src/diff/traversal/")
 LIBRARIES = {
     "volk": "gpu", "vulkan/": "gpu", "Imf": "base/codecs", "png.h": "base/codecs", "zip.h": "base/codecs",
     "lz4frame.h": "base/codecs", "lz4.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "read/bag",
-    "bzlib.h": "read/bag", "proj.h": "log/sequence", "pcap/": "read/bag", "simdjson.h": "read/datasets",
+    "bzlib.h": "read/bag", "proj.h": "log/georeference", "pcap/": "read/bag", "simdjson.h": "read/datasets",
     "protozero/": "read simulate/scan_files", "pugixml.hpp": "read", "toml++/": "log read run",
     "nlohmann/": "base log read run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",
     "oneapi/tbb": "base", "Eigen/": "base log read registration scene score train"}

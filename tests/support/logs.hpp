@@ -22,7 +22,7 @@ std::string read_text(const std::filesystem::path& path);
 /// "nothing" without an error.
 inline std::string find_load_error(const std::string& dataset, const DatasetOptions& options = {}) {
     try {
-        load_sequence(dataset, options);
+        load_log(dataset, options);
     } catch (const Error& error) {
         const std::string message = error.what();
         EXPECT_TRUE(error.code() == ExitCode::data || error.code() == ExitCode::usage) << message;
@@ -53,9 +53,7 @@ struct LogFolder {
     LogFolder(const LogFolder&) = delete;
     LogFolder& operator=(const LogFolder&) = delete;
 
-    Log load(const DatasetOptions& options = {}) const {
-        return load_sequence(kind + folder.string(), options);
-    }
+    Log load(const DatasetOptions& options = {}) const { return load_log(kind + folder.string(), options); }
     /// Checks that reading fails with a message that contains `parts`, see Names().
     void expect_error(const std::string& parts, const DatasetOptions& options = {}) const {
         EXPECT_THAT(find_load_error(kind + folder.string(), options), Names(parts));

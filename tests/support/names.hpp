@@ -8,7 +8,7 @@
 
 #include <gmock/gmock.h>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 inline void PrintTo(const Note& note, std::ostream* out) { *out << note.text; }

@@ -28,7 +28,7 @@ inline Log make_two_lidar_street(const StreetOptions& options) {
         street.frames.push_back(
             {frame.index, frame.time_s, cast_street_rays(options, rays, track, frame.time_s), 1});
     }
-    check_sequence(street);
+    check_log(street);
     return street;
 }
 

@@ -76,7 +76,7 @@ class TrainedClasses : public test::DeviceTest {};
 TEST_F(TrainedClasses, OfHeldOutScansAreThoseOfTheStreet) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_semantic_kitti/sequences/00";
     write_semantic_kitti(folder, {.n_frames = 7, .rows = 64, .columns = 200, .moving_cars = false});
-    const Log log = load_sequence(folder.string(), {});
+    const Log log = load_log(folder.string(), {});
     fs::remove_all(folder.parent_path().parent_path());
     const Split split = split_frames(log, 0, "3");
     Config config = make_preset("quick");

@@ -204,8 +204,8 @@ TEST(PrepareLog, TheBodyThatCarriesTheLidarTrainsNothing) {
     prepare_log(log, run.split, run.config, {[&](const std::string& line) { report += line; }, {}, {}});
     EXPECT_THAT(report, test::Names("% of the returns are on the body ... 0.5 m"));
     EXPECT_EQ(log.frames[std::size_t(run.split.test[0])].scan.range_m, held_out.scan.range_m);
-    run.sequence = std::move(log);
-    const Frame& trained = run.sequence.frames[std::size_t(run.split.train[0])];
+    run.log = std::move(log);
+    const Frame& trained = run.log.frames[std::size_t(run.split.train[0])];
     // Scans that are read again later still have the returns of the body.
     for (const Frame& frame : {trained, held_out}) {
         const TrainingRays rays = make_training_rays(run, frame);
@@ -218,14 +218,14 @@ TEST(PrepareLog, TheBodyThatCarriesTheLidarTrainsNothing) {
     }
     // The rays to the body have not observed the space behind it, although rays above and
     // below it have returns from there.
-    const PoseTrack& track = run.sequence.world_from_vehicle;
+    const PoseTrack& track = run.log.world_from_vehicle;
     const Pose& first = track.pose.front();
     const auto observed_behind = [&] {
-        const ObservedVoxelSet seen = observe_coverage(run.sequence, track, run.split.train, 80.0);
+        const ObservedVoxelSet seen = observe_coverage(run.log, track, run.split.train, 80.0);
         return seen.observed_fraction(first * glm::dvec3(-7, 0, 0), first * glm::dvec3(-8.5, 0, 0));
     };
     EXPECT_LT(observed_behind(), 0.1);
-    run.sequence.lidars[0].own_body = {};
+    run.log.lidars[0].own_body = {};
     EXPECT_GT(observed_behind(), 0.9);
 }
 
@@ -233,14 +233,13 @@ class PlaceHeldOut : public test::DeviceTest {};
 
 Run train_small_run(Device& device) {
     relidar::Run run;
-    run.sequence =
-        make_street_log({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
-    run.split = split_frames(run.sequence, 4);
+    run.log = make_street_log({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
+    run.split = split_frames(run.log, 4);
     run.config = make_preset("quick");
     run.config.train.iterations = 60;
     run.config.train.rays_per_iteration = 4096;
     run.config.train.refine_poses = "none";
-    run.scene = train(device, run.sequence, run.split, run.config).scene;
+    run.scene = train(device, run.log, run.split, run.config).scene;
     run.config.train.refine_poses = "sensor";
     return run;
 }
@@ -249,7 +248,7 @@ Run move_run(Device& device, const Twist& off) {
     static const Run trained = train_small_run(device);
     Run run = trained;
     for (const int k : run.split.test) {
-        Pose& pose = run.sequence.world_from_vehicle.pose[std::size_t(k)];
+        Pose& pose = run.log.world_from_vehicle.pose[std::size_t(k)];
         pose = apply_twist(pose, off);
     }
     return run;
@@ -269,26 +268,26 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
     EXPECT_NEAR(placed.median_m, off_m, 0.006);
     for (const int k : run.split.test) {
         const auto i = std::size_t(k);
-        const Twist left = compute_twist(exact.pose[i], run.sequence.world_from_vehicle.pose[i]);
+        const Twist left = compute_twist(exact.pose[i], run.log.world_from_vehicle.pose[i]);
         EXPECT_LT(glm::length(glm::dvec3(left[0], left[1], left[2])), 0.006) << "frame " << k;
         EXPECT_LT(glm::length(glm::dvec3(left[3], left[4], left[5])), 5e-4) << "frame " << k;
     }
     for (const int k : run.split.train)
-        EXPECT_EQ(run.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
-                  before.sequence.world_from_vehicle.pose[std::size_t(k)].translation);
+        EXPECT_EQ(run.log.world_from_vehicle.pose[std::size_t(k)].translation,
+                  before.log.world_from_vehicle.pose[std::size_t(k)].translation);
     relidar::Run again = before;
     register_held_out(device(), again);
     for (const int k : run.split.test)
-        EXPECT_EQ(again.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
-                  run.sequence.world_from_vehicle.pose[std::size_t(k)].translation);
+        EXPECT_EQ(again.log.world_from_vehicle.pose[std::size_t(k)].translation,
+                  run.log.world_from_vehicle.pose[std::size_t(k)].translation);
 }
 
 TEST_F(PlaceHeldOut, DoesNothingWhereItIsNotAskedForOrStopped) {
     relidar::Run run = move_run(device(), {0.03, 0.0, 0.0, 0.0, 0.0, 0.0});
-    const std::vector<Pose> before = run.sequence.world_from_vehicle.pose;
+    const std::vector<Pose> before = run.log.world_from_vehicle.pose;
     const auto stays = [&] {
         for (std::size_t k = 0; k < before.size(); ++k)
-            if (run.sequence.world_from_vehicle.pose[k].translation != before[k].translation) return false;
+            if (run.log.world_from_vehicle.pose[k].translation != before[k].translation) return false;
         return true;
     };
     int n_stop_calls = 0;

@@ -44,8 +44,8 @@ Log make_weak_street() {
 
 Run trained(Device& device, Log street) {
     Run run;
-    run.sequence = std::move(street);
-    run.split = split_frames(run.sequence, 5);
+    run.log = std::move(street);
+    run.split = split_frames(run.log, 5);
     run.config = make_preset("quick");
     run.config.train.iterations = 80;
     run.config.train.rays_per_iteration = 4096;
@@ -55,7 +55,7 @@ Run trained(Device& device, Log street) {
     // only the network can learn the effect
     run.config.train.sensor_drop = false;
     run.config.image.sh_degree = 0;
-    run.scene = train(device, run.sequence, run.split, run.config).scene;
+    run.scene = train(device, run.log, run.split, run.config).scene;
     // a run with a different flatness cannot be saved
     run.config.init.flatness = make_preset("quick").init.flatness;
     return run;
@@ -77,9 +77,8 @@ std::pair<double, double> measure_accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
     for (const int position : run.split.test) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
-        const RenderedScan scan =
-            renderer.render(choose_sensor("native", run.config, run.sequence), frame.time_s);
+        const Frame& frame = run.log.frames[std::size_t(position)];
+        const RenderedScan scan = renderer.render(choose_sensor("native", run.config, run.log), frame.time_s);
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             const bool is_far = scan.median_range_m[i] > 0.8f * kReach_m && scan.weight[i] > 0.9f;
             const bool of_weak = is_far && is_well_inside(frame.scan.rays.direction[i]);
@@ -113,9 +112,9 @@ double compute_exact_accuracy(ScanRenderer& renderer, const StreetOptions& optio
                               const SimulatedSensor& sensor) {
     double n = 0.0, right = 0.0;
     for (const int position : run.split.test) {
-        const double time_s = run.sequence.frames[std::size_t(position)].time_s;
+        const double time_s = run.log.frames[std::size_t(position)].time_s;
         const RenderedScan scan = renderer.render(sensor, time_s);
-        const Scan exact = cast_street_rays(options, sensor.rays, run.sequence.lidar_track(0), time_s);
+        const Scan exact = cast_street_rays(options, sensor.rays, run.log.lidar_track(0), time_s);
         for (std::size_t i = 0; i < exact.range_m.size(); ++i, n += 1.0)
             right += (scan.image.drop_prob[i] > 0.5f) == !sensor.limits.contains(exact.range_m[i]);
     }
@@ -127,7 +126,7 @@ TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
         .seed = 6, .n_frames = 11, .rows = 32, .columns = 512, .speed_mps = 4.0, .people = true};
     relidar::Run run = trained(device(), make_street_log(options));
     run.config.refine.epochs = 6;
-    const SimulatedSensor sensor = choose_sensor("VLP-32C", run.config, run.sequence);
+    const SimulatedSensor sensor = choose_sensor("VLP-32C", run.config, run.log);
     ScanRenderer renderer(device(), run);
     const double before = compute_exact_accuracy(renderer, options, run, sensor);
     renderer.use_network(train_drops(device(), run));
@@ -141,7 +140,7 @@ double measure_car_drops(Device& device, const Run& run, const SimulatedSensor& 
     ScanRenderer renderer(device, run);
     double n = 0.0, sum = 0.0;
     for (const int position : run.split.test) {
-        const RenderedScan scan = renderer.render(sensor, run.sequence.frames[std::size_t(position)].time_s);
+        const RenderedScan scan = renderer.render(sensor, run.log.frames[std::size_t(position)].time_s);
         for (std::size_t i = 0; i < scan.instance.size(); ++i) {
             if (scan.instance[i] <= 0 || scan.ring[i] % 2 != parity || scan.weight[i] < 0.9f) continue;
             n += 1.0;
@@ -164,9 +163,9 @@ TEST_F(RefineDrops, BeamsThatAreTooWeakForCarsDropThere) {
         for (std::size_t i = 0; i < std::size_t(car.count) * kShFloats; ++i)
             if (i % kShFloats >= 16) first[std::ptrdiff_t(i)] = 0.0f;  // equal hit and drop logits
     }
-    SimulatedSensor sensor = choose_sensor("native", run.config, run.sequence);
+    SimulatedSensor sensor = choose_sensor("native", run.config, run.log);
     ScanRenderer renderer(device(), run);
-    for (Frame& frame : run.sequence.frames) {
+    for (Frame& frame : run.log.frames) {
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         for (std::size_t i = 0; i < scan.instance.size(); ++i)
             if (scan.instance[i] > 0) frame.scan.range_m[i] = scan.ring[i] % 2 == 1 ? 0.0f : 10.0f;
@@ -177,7 +176,7 @@ TEST_F(RefineDrops, BeamsThatAreTooWeakForCarsDropThere) {
     // positive. In the optimum, the derivative by the error that all beams share is 0.
     // Then the sum of the values is 0, because the prior is the same for each beam.
     const std::vector<float>& logits = run.drop_network.actor_logits;
-    ASSERT_EQ(logits.size(), run.sequence.count_beams());
+    ASSERT_EQ(logits.size(), run.log.count_beams());
     double sum = 0.0, size = 0.0;
     for (std::size_t beam = 0; beam < logits.size(); ++beam) {
         const double towards_drop = beam % 2 == 1 ? logits[beam] : -logits[beam];
@@ -202,8 +201,8 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     run.drop_network = train_drops(device(), run);
     EXPECT_EQ(run.drop_network.image, "kitti360");
     ScanRenderer renderer(device(), run);
-    const SimulatedSensor grid = make_sensor(run.config, run.sequence),
-                          native = choose_sensor("native", run.config, run.sequence);
+    const SimulatedSensor grid = make_sensor(run.config, run.log),
+                          native = choose_sensor("native", run.config, run.log);
     EXPECT_TRUE(renderer.has_network_for(grid));
     EXPECT_FALSE(renderer.has_network_for(native));
     renderer.add_channels("surfel_drop_prob");
@@ -251,7 +250,7 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     run.folder = folder() / "run";
     save_run(run);
     relidar::Run loaded = load_run(run.folder);
-    copy_scans(loaded, loaded.split.train, run.sequence);
+    copy_scans(loaded, loaded.split.train, run.log);
     check_drop_resume(half, loaded);
     const RayDropNetwork resumed = train_drops(device(), loaded, {.start = &half});
     EXPECT_EQ(resumed.parameters, expected.parameters);
@@ -290,7 +289,7 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     other.scene.surfels.sh[5] += 0.001f;
     EXPECT_THAT(message(other), test::Names("3 ... step 2 ... scene"));
     other = run;
-    other.sequence.frames[std::size_t(run.split.train[3])].scan.range_m[7] += 0.5f;
+    other.log.frames[std::size_t(run.split.train[3])].scan.range_m[7] += 0.5f;
     EXPECT_THAT(message(other), test::Names("scans"));
     Checkpoint of_surfels = checkpoint;
     std::erase_if(of_surfels.arrays, [](const NamedArray& array) { return array.name == "moment2"; });
@@ -303,13 +302,13 @@ TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
     EXPECT_TRUE(train_drops(device(), run, {.stop = [&] { return ++n_stop_calls > 15; }}).empty());
     EXPECT_TRUE(train_drops(device(), run, {.stop = [] { return true; }}).empty());
     const auto message = [&] { return get_data_error_message([&] { train_drops(device(), run); }); };
-    for (Frame& frame : run.sequence.frames) {
+    for (Frame& frame : run.log.frames) {
         frame.scan.rays.rows = 1;
         frame.scan.rays.columns = int(frame.scan.rays.size());
     }
     EXPECT_THAT(message(), test::Names("rows"));
-    run.sequence = make_weak_street();
-    for (Frame& frame : run.sequence.frames)
+    run.log = make_weak_street();
+    for (Frame& frame : run.log.frames)
         for (float& range_m : frame.scan.range_m) range_m = std::max(range_m, 1.0f);
     EXPECT_THAT(message(), test::Names("dropped"));
 }

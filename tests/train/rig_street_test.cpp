@@ -193,20 +193,19 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
 /// `tools/bench/transfer` measures this for whole logs.
 TEST_F(TwoLidars, TheSceneOfOneLidarIsRightForTheOther) {
     relidar::Run run;
-    run.sequence = test::make_two_lidar_street({.n_frames = 12, .rows = 32, .columns = 512});
+    run.log = test::make_two_lidar_street({.n_frames = 12, .rows = 32, .columns = 512});
     run.config = make_two_lidar_config();
     run.config.train.iterations = 150;
-    run.split = split_frames(run.sequence, 0);
-    std::erase_if(run.split.train, [&](int k) { return run.sequence.frames[std::size_t(k)].lidar == 1; });
-    run.scene = train(device(), run.sequence, run.split, run.config).scene;
+    run.split = split_frames(run.log, 0);
+    std::erase_if(run.split.train, [&](int k) { return run.log.frames[std::size_t(k)].lidar == 1; });
+    run.scene = train(device(), run.log, run.split, run.config).scene;
     run.drop_network = train_drops(device(), run);
     ScanRenderer renderer(device(), run);
     std::vector<double> errors_m;
     double rendered_returns = 0.0, true_returns = 0.0, rays = 0.0;
-    for (const Frame& frame : run.sequence.frames) {
+    for (const Frame& frame : run.log.frames) {
         if (frame.lidar == 0) continue;
-        const RenderedScan scan =
-            renderer.render(nominal_sensor(run.config, run.sequence, frame), frame.time_s);
+        const RenderedScan scan = renderer.render(nominal_sensor(run.config, run.log, frame), frame.time_s);
         for (std::size_t i = 0; i < scan.weight.size(); ++i) {
             const float true_m = frame.scan.range_m[i], median_m = scan.median_range_m[i];
             if (scan.weight[i] < 0.9f || median_m < 5.0f || median_m > 40.0f) continue;

@@ -193,18 +193,17 @@ constexpr float kStep = 1.0f / 64.0f;
 /// The untrained scene consists of the points of the log.
 Run make_grainy_run() {
     Run run;
-    run.sequence =
-        make_street_log({.seed = 3, .n_frames = 10, .rows = 32, .columns = 512, .moving_cars = false});
+    run.log = make_street_log({.seed = 3, .n_frames = 10, .rows = 32, .columns = 512, .moving_cars = false});
     Random random(8);
-    for (Frame& frame : run.sequence.frames)
+    for (Frame& frame : run.log.frames)
         for (float& intensity : frame.scan.intensity)
             intensity =
                 std::max(std::round((intensity + 0.05f * static_cast<float>(random.sample_normal())) / kStep),
                          0.0f) *
                 kStep;
-    run.split = split_frames(run.sequence, 5);
+    run.split = split_frames(run.log, 5);
     run.config = make_preset("quick");
-    run.scene = init_scene(run.sequence, run.split.train, run.config.init);
+    run.scene = init_scene(run.log, run.split.train, run.config.init);
     return run;
 }
 
@@ -213,11 +212,11 @@ TEST_F(LearnScatter, TrainingFramesScatterAlike) {
     run.intensity_scatter = learn_scatter(device(), run);
     ASSERT_EQ(run.intensity_scatter.size(), 1u);
     EXPECT_EQ(run.intensity_scatter[0].step, double(kStep));
-    ScanRenderer exact(device(), run.scene, run.config, run.sequence), renderer(device(), run);
-    const SimulatedSensor sensor = choose_sensor("native", run.config, run.sequence);
+    ScanRenderer exact(device(), run.scene, run.config, run.log), renderer(device(), run);
+    const SimulatedSensor sensor = choose_sensor("native", run.config, run.log);
     double real = 0.0, drawn = 0.0, n = 0.0;
     for (const int position : run.split.train) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const Frame& frame = run.log.frames[std::size_t(position)];
         const RenderedScan likely = exact.render(sensor, frame.time_s),
                            stepped = renderer.render(sensor, frame.time_s),
                            sample = renderer.render(sensor, frame.time_s, {}, 4);

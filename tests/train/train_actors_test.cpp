@@ -24,8 +24,8 @@ protected:
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
         run.folder = folder;
-        run.sequence = make_street_log({.n_frames = 11, .rows = 24, .columns = 384});
-        run.split = split_frames(run.sequence, 10);
+        run.log = make_street_log({.n_frames = 11, .rows = 24, .columns = 384});
+        run.split = split_frames(run.log, 10);
         run.config = make_preset("quick");
         run.config.init.voxel_m = 0.3;
         run.config.init.actor_min_points = 10;
@@ -33,7 +33,7 @@ protected:
         run.config.init.scale_factor = 0.8;
         run.config.train.deterministic = true;
         run.config.blocks.actor_epochs = 4;
-        Scene full_scene = init_scene(run.sequence, run.split.train, run.config.init);
+        Scene full_scene = init_scene(run.log, run.split.train, run.config.init);
         for (std::size_t i = 0; i < full_scene.surfels.size(); ++i)
             full_scene.surfels.opacity_logit[i] = i < full_scene.models[0].count ? 6.0f : -1.5f;
         run.scene = replace_background(full_scene, {});
@@ -58,14 +58,14 @@ protected:
     /// Median error of the mean range on a held-out frame, of rays with a return from a
     /// car.
     double measure_error_on_cars() {
-        const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
-        ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
+        const Frame& frame = run.log.frames[std::size_t(run.split.test[0])];
+        ScanRenderer renderer(device(), run.scene, run.config, run.log);
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
         std::vector<double> errors;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
-            const WorldReturn at = locate_return(run.sequence, frame, i);
-            if (!is_in_moving_box(run.sequence.boxes, at.point_m, at.time_s, -0.05)) continue;
+            const WorldReturn at = locate_return(run.log, frame, i);
+            if (!is_in_moving_box(run.log.boxes, at.point_m, at.time_s, -0.05)) continue;
             errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
         }
         EXPECT_GT(errors.size(), 20u) << "the cars must be seen";

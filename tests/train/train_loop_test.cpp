@@ -192,13 +192,13 @@ double get_final_loss(const TrainResult& result) {
 }
 
 TEST_F(DensifyTrain, GrowthLowersTheLoss) {
-    const Log sequence = make_growing_street();
-    const Split split = split_frames(sequence, 10);
+    const Log log = make_growing_street();
+    const Split split = split_frames(log, 10);
     std::map<DensifyStrategy, double> loss;
     for (const DensifyStrategy strategy : {DensifyStrategy::none, DensifyStrategy::adaptive}) {
         Config config = make_sparse_config();
         config.densify.strategy = strategy;
-        const TrainResult result = train(device(), sequence, split, config);
+        const TrainResult result = train(device(), log, split, config);
         loss[strategy] = get_final_loss(result);
         std::uint32_t n = result.log.front().n_surfels;
         for (const TrainProgress& line : result.log) {
@@ -212,8 +212,8 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
 }
 
 TEST_F(DensifyTrain, ActorsStayInTheirModels) {
-    const Log sequence = make_growing_street();
-    const Split split = split_frames(sequence, 10);
+    const Log log = make_growing_street();
+    const Split split = split_frames(log, 10);
     Config config = make_sparse_config();
     config.init.actor_classes = "Car";
     config.init.actor_min_points = 20;
@@ -221,7 +221,7 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
     config.train.iterations = 20;
     config.densify.strategy = DensifyStrategy::adaptive;
     config.densify.from = config.densify.every = 10;
-    const Scene scene = train(device(), sequence, split, config).scene;
+    const Scene scene = train(device(), log, split, config).scene;
     ASSERT_EQ(scene.models.size(), 3u);
     std::uint32_t next = 0;
     for (const SurfelModel& model : scene.models) {
@@ -236,8 +236,8 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
 }
 
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
-    const Log sequence = make_growing_street();
-    const Split split = split_frames(sequence, 10);
+    const Log log = make_growing_street();
+    const Split split = split_frames(log, 10);
     Config config = make_sparse_config();
     config.train.iterations = 40;
     config.densify.from = config.densify.every = 5;
@@ -246,12 +246,12 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     std::uint64_t needed = 0;
     {
         Device unlimited;
-        train(unlimited, sequence, split, config,
+        train(unlimited, log, split, config,
               [](const TrainProgress& progress) { return progress.iteration < 1; });
         needed = unlimited.peak_bytes();
     }
     Device limited({.memory_limit_bytes = needed + (std::uint64_t(2) << 20)});
-    const TrainResult result = train(limited, sequence, split, config);
+    const TrainResult result = train(limited, log, split, config);
     EXPECT_EQ(result.log.back().iteration, 40);
     EXPECT_FALSE(result.interrupted);
     EXPECT_GT(result.scene.surfels.size(), result.log.front().n_surfels);

@@ -30,13 +30,13 @@ Run make_small_run() {
     street.n_frames = 6;
     street.rows = 16;
     street.columns = 256;
-    run.sequence = make_street_log(street);
-    run.split = split_frames(run.sequence, 3);
+    run.log = make_street_log(street);
+    run.split = split_frames(run.log, 3);
     InitOptions options;
     options.actor_min_points = 10;
-    run.scene = init_scene(run.sequence, run.split.train, options);
-    run.coverage = observe_coverage(run.sequence, run.sequence.world_from_vehicle, run.split.train, 80.0);
-    for (Frame& frame : run.sequence.frames) frame.scan = {};  // as in a loaded run
+    run.scene = init_scene(run.log, run.split.train, options);
+    run.coverage = observe_coverage(run.log, run.log.world_from_vehicle, run.split.train, 80.0);
+    for (Frame& frame : run.log.frames) frame.scan = {};  // as in a loaded run
     return run;
 }
 
@@ -69,7 +69,7 @@ struct Read {
 void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
     const std::vector<float> range_m = point_ranges(scan, run.config);
     EXPECT_EQ(live.array<float>("range"), range_m);
-    const Pose world{{1.0, 0.0, 0.0, 0.0}, run.sequence.world_offset_m};
+    const Pose world{{1.0, 0.0, 0.0, 0.0}, run.log.world_offset_m};
     const std::vector<glm::vec3> points = live.array<glm::vec3>("position");
     ASSERT_EQ(points, place_points(scan, run.config, world, PointSelection::rays).position_m);
     std::vector<glm::vec3> returned_m;
@@ -96,7 +96,7 @@ protected:
                           const Weather& weather = {}) {
         ScanRenderer renderer(device(), run);
         renderer.set_weather(weather);
-        return renderer.render(choose_sensor("native", run.config, run.sequence), time_s, offset);
+        return renderer.render(choose_sensor("native", run.config, run.log), time_s, offset);
     }
     TabCache tab;
 
@@ -177,7 +177,7 @@ TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
 }
 
 TEST_F(LiveScan, PutsCopiesOnTheGround) {
-    const BoxTrack& car = run().sequence.boxes.front();
+    const BoxTrack& car = run().log.boxes.front();
     const Pose there = car.world_from_box.pose.front();  // the street is flat
     for (const char* from : {"", "other"}) {
         const ActorEdits::ActorCopy copy =
@@ -216,7 +216,7 @@ TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
 TEST_F(LiveScan, NotesTheUnseenSidesOfPlacedActors) {
     relidar::Run run = make_small_run();
     const std::string first = run.scene.instances[1].track;
-    const BoxTrack& box = *find_box(run.sequence, first);
+    const BoxTrack& box = *find_box(run.log, first);
     run.scene.models[run.scene.instances[1].model].surface = ObservedBoxSurface(box.size_m);  // saw nothing
     BrowserScanRenderer scans(run, {}, device());
     const auto notes = [&](const ActorEdits& edits) {

@@ -157,10 +157,10 @@ void print_air_table(const std::string& run_folder) {
         const Pose offset{{1, 0, 0, 0}, offset_m};
         AirPointCounts file_points, image_points;
         for (const int position : run.split.test) {
-            const Frame& frame = run.sequence.frames[std::size_t(position)];
-            const SimulatedSensor sensor = make_sensor(run.config, run.sequence, frame.lidar);
-            const RayTable rays = make_lidar_rays(run.sequence.lidar_of(frame), frame.time_s);
-            const PoseTrack track = mount_track(run.sequence.lidar_track(frame.lidar), offset);
+            const Frame& frame = run.log.frames[std::size_t(position)];
+            const SimulatedSensor sensor = make_sensor(run.config, run.log, frame.lidar);
+            const RayTable rays = make_lidar_rays(run.log.lidar_of(frame), frame.time_s);
+            const PoseTrack track = mount_track(run.log.lidar_track(frame.lidar), offset);
             const StreetScanSetup setup{street, track, frame.time_s};
             const Scan truth = setup.cast_rays(rays);
             const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);

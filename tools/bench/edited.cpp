@@ -28,7 +28,7 @@ constexpr float kSameRange_m = 0.01f;
 std::vector<SyntheticCar> list_cars_of_run(const Run& run) {
     std::vector<SyntheticCar> cars;
     for (const ModelInstance& instance : run.scene.instances) {
-        const BoxTrack* box = find_box(run.sequence, instance.track);
+        const BoxTrack* box = find_box(run.log, instance.track);
         if (!box) continue;
         const std::string& name = run.scene.models[instance.model].name;
         std::size_t car = 0;
@@ -47,14 +47,14 @@ std::vector<SyntheticCar> list_cars_of_run(const Run& run) {
 /// the synthetic street with its cars at the edited poses.
 void print_edited_scores(const std::string& folder) {
     Run run = load_run(folder);
-    run.config = with_max_range(std::move(run.config), run.sequence);
+    run.config = with_max_range(std::move(run.config), run.log);
     const StreetOptions street = read_street(run);
     const std::vector<SyntheticCar> cars = list_cars_of_run(run);
-    const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
-    const RangeLimits limits = make_sensor(run.config, run.sequence).limits;
-    const PoseTrack track = run.sequence.lidar_track(0);
+    const RayTable rays = make_rays(run.log.lidars[0].sensor);
+    const RangeLimits limits = make_sensor(run.config, run.log).limits;
+    const PoseTrack track = run.log.lidar_track(0);
     for (const int position : run.split.test) {
-        Frame& frame = run.sequence.frames[std::size_t(position)];
+        Frame& frame = run.log.frames[std::size_t(position)];
         frame.scan = cast_street_rays(street, cars, rays, track, frame.time_s);
         limit_ranges(frame.scan, limits);
     }
@@ -71,7 +71,7 @@ void print_edited_scores(const std::string& folder) {
             edited.pixels[i] = std::abs(frame.real.range_m[i] - unedited.range_m[i]) > kSameRange_m;
         scores.push_back(evaluate_regions(frame.rendered.image, frame.real, {edited}));
     };
-    evaluate_frames(renderer, run.config, run.sequence, run.split.test, {}, score_frame);
+    evaluate_frames(renderer, run.config, run.log, run.split.test, {}, score_frame);
     MetricValues mean = mean_metrics(scores);
     for (const char* metric : {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m"})
         fmt::print("{:.4g} ", mean["edited/" + std::string(metric)]);

@@ -59,7 +59,7 @@ struct LaneScan {
 class TrainingReturns {
 public:
     /// @param run  has the scans of its training frames
-    explicit TrainingReturns(const Run& run) : log_(run.sequence), moving_(log_.boxes) {
+    explicit TrainingReturns(const Run& run) : log_(run.log), moving_(log_.boxes) {
         std::erase_if(moving_, [](const BoxTrack& box) { return !box.is_moving(); });
         for (const int position : run.split.train) {
             const Frame& frame = log_.frames[std::size_t(position)];
@@ -172,12 +172,12 @@ using ScoresOfParts = std::array<LaneScore, std::size(kParts)>;
 /// @return no value after the last pose of the log
 std::optional<Frame> cast_exact_scan(const Run& run, const StreetOptions& street, const Frame& frame,
                                      const Pose& offset) {
-    const Lidar& lidar = run.sequence.lidar_of(frame);
+    const Lidar& lidar = run.log.lidar_of(frame);
     Frame exact = strip_scan(frame);
     exact.time_s += 0.5 * lidar.sweep_period_s();
-    if (!run.sequence.world_from_vehicle.contains_time(exact.time_s)) return {};
+    if (!run.log.world_from_vehicle.contains_time(exact.time_s)) return {};
     exact.scan = cast_street_rays(street, make_lidar_rays(lidar, exact.time_s),
-                                  mount_track(run.sequence.lidar_track(frame.lidar), offset), exact.time_s);
+                                  mount_track(run.log.lidar_track(frame.lidar), offset), exact.time_s);
     return exact;
 }
 
@@ -185,8 +185,8 @@ std::optional<Frame> cast_exact_scan(const Run& run, const StreetOptions& street
 /// of the street, and adds them to the scores.
 void score_lane(ScanRenderer& renderer, const Run& run, const StreetOptions& street,
                 const TrainingReturns& training, const Pose& offset, ScoresOfParts& scores) {
-    const SimulatedSensor sensor = make_sensor(run.config, run.sequence, 0);
-    for (const Frame& frame : run.sequence.frames) {
+    const SimulatedSensor sensor = make_sensor(run.config, run.log, 0);
+    for (const Frame& frame : run.log.frames) {
         if (frame.lidar != 0) continue;
         std::optional<Frame> exact = cast_exact_scan(run, street, frame, offset);
         if (!exact) continue;
@@ -210,7 +210,7 @@ void print_lane_table(const std::string& run_folder) {
     // LiDAR-RT compares squared distances with 0.05 m2, which is a distance of 22 cm.
     const double kFineThreshold_m = 0.05, kLidarRtThreshold_m = std::sqrt(0.05);
     Run run = load_run(run_folder);
-    run.config = with_max_range(std::move(run.config), run.sequence);
+    run.config = with_max_range(std::move(run.config), run.log);
     run.config.sensor.grid = "native";  // the rays that are cast into the street
     const StreetOptions street = read_street(run);
     copy_scans(run, run.split.train, load_log(run.config));  // for TrainingReturns

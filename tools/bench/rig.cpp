@@ -138,16 +138,16 @@ void print_rig_scores(const std::string& run_folder, float lateral_offset_m) {
                         "expected a run of a street whose street.toml has an entry rig = FILE",
                         run_folder));
     Device device(apply_environment({}));
-    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    std::vector<RigScanScore> scores(run.sequence.lidars.size()), shifted_scores(scores.size());
+    ScanRenderer renderer(device, run.scene, run.config, run.log);
+    std::vector<RigScanScore> scores(run.log.lidars.size()), shifted_scores(scores.size());
     for (const int position : run.split.test) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
-        const Lidar& lidar = run.sequence.lidar_of(frame);
+        const Frame& frame = run.log.frames[std::size_t(position)];
+        const Lidar& lidar = run.log.lidar_of(frame);
         const auto mounted = std::ranges::find(*rig, lidar.name, &MountedSensor::name);
-        SimulatedSensor sensor = make_sensor(run.config, run.sequence, frame.lidar);
+        SimulatedSensor sensor = make_sensor(run.config, run.log, frame.lidar);
         sensor.returns = mounted != rig->end() ? mounted->returns : 1;
         const RayTable rays = make_lidar_rays(lidar, frame.time_s);
-        const PoseTrack track = run.sequence.lidar_track(frame.lidar);
+        const PoseTrack track = run.log.lidar_track(frame.lidar);
         const ScanRanges truth = cast_exact_ranges(street, rays, track, frame.time_s, sensor);
         add_comparison(scores[std::size_t(frame.lidar)], return_ranges(renderer.render(sensor, frame.time_s)),
                        truth);
@@ -161,7 +161,7 @@ void print_rig_scores(const std::string& run_folder, float lateral_offset_m) {
         "reported but wrong |\n"
         "|---|--:|--:|--:|--:|--:|--:|--:|\n");
     for (std::size_t lidar_index = 0; lidar_index < scores.size(); ++lidar_index) {
-        const std::string& name = run.sequence.lidars[lidar_index].name;
+        const std::string& name = run.log.lidars[lidar_index].name;
         fmt::print("{}", format_row(name, scores[lidar_index]));
         const std::string shifted_name =
             fmt::format("{}, exact scan of the street from {:g} cm to the left and above", name,

@@ -34,11 +34,11 @@ int main(int argc, char** argv) try {
     const std::string actor = run.scene.instances[1].track;
     Device device;
     ScanRenderer renderer(device, run);
-    const SimulatedSensor sensor = make_sensor(run.config, run.sequence);
+    const SimulatedSensor sensor = make_sensor(run.config, run.log);
 
-    Pose start = run.sequence.lidar_track(0).pose.front();
+    Pose start = run.log.lidar_track(0).pose.front();
     // converts the pose to the world frame of the dataset, which requests use
-    start.translation += run.sequence.world_offset_m;
+    start.translation += run.log.world_offset_m;
     const auto ahead = [&](double metres, double up_m) {
         return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}};
     };

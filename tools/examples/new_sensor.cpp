@@ -19,7 +19,7 @@ int main(int argc, char** argv) try {
     if (run.scene.instances.size() > 1)  // Instance 0 is the background.
         run.set_driving_scene(remove_track(run.driving_scene(), run.scene.instances[1].track));
     const PoseTrack trajectory = read_trajectory(argv[2]);
-    const SimulatedSensor sensor = choose_sensor("OS1-64", run.config, run.sequence);
+    const SimulatedSensor sensor = choose_sensor("OS1-64", run.config, run.log);
 
     Device device;
     ScanRenderer renderer(device, run);

@@ -14,7 +14,7 @@ int main(int argc, char** argv) try {
         std::fprintf(stderr, "usage: %s DRIVE KERNEL.spv\n", argv[0]);
         return 2;
     }
-    Log log = load_sequence(argv[1], {});
+    Log log = load_log(argv[1], {});
     const Split split = split_frames(log, 10);  // holds out every tenth frame
     Config config = make_preset("quick");
     config.loss.depth = 0.0f;  // The new loss replaces it.

@@ -57,7 +57,7 @@ def find_mounting(run, log, start, iterations=120, n_rays=6000, note=None):
 def main(folder, iterations="120"):
     """Returns the errors of the first and of the last estimate, as pose_error() does."""
     run = relidar.Run.load(folder)
-    log = relidar.load_sequence(run.config["dataset.path"], run.config)
+    log = relidar.load_log(run.config["dataset.path"], run.config)
     truth = next(iter(run.mountings.values()))
     start = truth @ relidar.pose(0.2, -0.2, 0.1, 2, 1.5, -1.66)
     found = find_mounting(run, log, start, int(iterations), note=print)

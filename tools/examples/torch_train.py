@@ -62,7 +62,7 @@ def train(run, log, iterations, n_rays=24576):
 def main(log_folder, run_folder, iterations="540", n_frames="-1"):
     # The training of one iteration aligns the scans, and makes surfels and actors from their points.
     config = relidar.Config("quick", {"train.iterations": 1, "dataset.frames_end": int(n_frames)})
-    log = relidar.load_sequence(log_folder, config)
+    log = relidar.load_log(log_folder, config)
     run = train(relidar.train(log, config), log, int(iterations))
     run.save(run_folder, overwrite=True)
     print(relidar.evaluate(run, log)["mean"] if run.held_out else "no frame is held out")

@@ -21,7 +21,7 @@ print("device:", relidar.Device().info.name)
 # also works
 relidar.save_street(folder / "street", n_frames=12)
 config = relidar.Config("quick", {"train.iterations": iterations, "train.log_every": max(1, iterations // 6), "init.scale_factor": 0.6})
-log = relidar.load_sequence(folder / "street", config)
+log = relidar.load_log(folder / "street", config)
 print(f"{log.name}: {len(log)} frames, boxes {', '.join(log.boxes)}")
 
 # %% Training, with a progress line from time to time

@@ -3,7 +3,7 @@
 // sensors.
 #pragma once
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include "arrays.hpp"
 
 namespace relidar {

@@ -111,7 +111,7 @@ void set_poses(PythonRenderer& renderer, const py::object& poses, const py::obje
 void place_frame(PythonRenderer& renderer, const LoadedRun& run,
                  IntegerArgument<std::uint32_t, "position"> position, const py::object& view_origin,
                  bool refit) {
-    const Log& log = run.run.sequence;
+    const Log& log = run.run.log;
     if (position >= log.frames.size())
         fail<UsageError>("place_frame: found the position {}, expected at most {}", position.value,
                          log.frames.size() - 1);

@@ -42,11 +42,10 @@ struct EditedRun {
     template <class Edit, class Argument>
     EditedRun& apply_in_time(const std::string& entry, Edit edit, const std::string& track,
                              const Argument& argument) {
-        const BoxTrack* box = find_box(driving.sequence, track);
+        const BoxTrack* box = find_box(driving.log, track);
         const BoxTrack before = box ? *box : BoxTrack{};
         apply(entry, edit, track, argument);
-        if (const std::string note = describe_absence(before, driving.sequence); !note.empty())
-            show_warning(note);
+        if (const std::string note = describe_absence(before, driving.log); !note.empty()) show_warning(note);
         return *this;
     }
 
@@ -54,8 +53,8 @@ struct EditedRun {
     std::unique_ptr<LoadedRun> copy_run() const {
         Run edited = run;
         edited.set_driving_scene(driving);
-        const SceneWithLogView view{edited.scene, edited.sequence};
-        for (const Note& note : check_placement(view, list_changed_tracks(view, run.sequence.boxes)))
+        const SceneWithLogView view{edited.scene, edited.log};
+        for (const Note& note : check_placement(view, list_changed_tracks(view, run.log.boxes)))
             show_warning(note.text);
         return std::make_unique<LoadedRun>(std::move(edited), device);
     }

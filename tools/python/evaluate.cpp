@@ -2,9 +2,9 @@
 #include <relidar/base/error.hpp>
 #include <relidar/score/evaluation.hpp>
 #include "calls.hpp"
+#include "log.hpp"
 #include "module.hpp"
 #include "run.hpp"
-#include "sequence.hpp"
 
 namespace relidar::python {
 namespace {
@@ -19,12 +19,12 @@ Evaluation evaluate_loaded(LoadedRun& loaded, const Log& log, const std::optiona
     if (baseline) {
         copy_scans(run, run.split.train, log);
         const py::gil_scoped_release gil_released;
-        return evaluate_baseline(*baseline, run.config, run.sequence, run.split, progress);
+        return evaluate_baseline(*baseline, run.config, run.log, run.split, progress);
     }
     return loaded.get_renderer().use([&](ScanRenderer& renderer) {
         // Shows the instances that an earlier render() has hidden.
         renderer.show_instances(std::vector<bool>(run.scene.instances.size(), true));
-        return evaluate_frames(renderer, run.config, run.sequence, run.split.test, progress);
+        return evaluate_frames(renderer, run.config, run.log, run.split.test, progress);
     });
 }
 
@@ -46,7 +46,7 @@ py::dict evaluate_run(LoadedRun& loaded, const LoadedLog* log, const std::option
         limit_scan_memory(std::uint64_t(run.config.dataset.memory_mib) << 20);
         own_log = load_log(run.config, progress);
     }
-    const Evaluation result = evaluate_loaded(loaded, log ? log->sequence : own_log, baseline, progress);
+    const Evaluation result = evaluate_loaded(loaded, log ? log->log : own_log, baseline, progress);
     py::list frames;
     for (const ScoredFrame& frame : result.frames)
         frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,
@@ -59,10 +59,10 @@ py::dict evaluate_run(LoadedRun& loaded, const LoadedLog* log, const std::option
 
 /// Adds relidar.evaluate().
 void bind_evaluate(py::module_& module) {
-    module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("sequence") = py::none(), py::kw_only(),
+    module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("log") = py::none(), py::kw_only(),
                py::arg("baseline") = py::none(), py::arg("progress") = py::none(),
                "Scores the held-out frames of a run against its log, like `relidar eval`.\n\n"
-               "sequence: the log; None: read it from the path that was used for training\n"
+               "log: the log; None: read it from the path that was used for training\n"
                "baseline: \"nearest\" or \"nearest-actors\" scores the neighbouring real scans, moved to the "
                "held-out pose, instead of rendered scans\n"
                "progress: called with the name of a step and its progress from 0 to 1\n\n"

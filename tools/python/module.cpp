@@ -74,7 +74,7 @@ PYBIND11_MODULE(_relidar, module) {
     bind_config(module);
     bind_poses(module);
     bind_sensors(module);
-    bind_sequence(module);
+    bind_log(module);
     bind_scene(module);
     bind_run_class(module);
     bind_edit_class(module);

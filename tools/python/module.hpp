@@ -12,7 +12,7 @@ void bind_device_array(pybind11::module_& module);
 void bind_config(pybind11::module_& module);
 void bind_poses(pybind11::module_& module);
 void bind_sensors(pybind11::module_& module);
-void bind_sequence(pybind11::module_& module);
+void bind_log(pybind11::module_& module);
 void bind_scene(pybind11::module_& module);
 void bind_run_class(pybind11::module_& module);
 void bind_edit_class(pybind11::module_& module);

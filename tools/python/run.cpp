@@ -18,8 +18,8 @@
 #include "conversions.hpp"
 #include "device_array.hpp"
 #include "integers.hpp"
+#include "log.hpp"
 #include "module.hpp"
-#include "sequence.hpp"
 
 namespace relidar::python {
 namespace {
@@ -66,14 +66,14 @@ ActorTracksByName to_tracks(const py::dict& poses_by_actor, double scan_time_s) 
     return poses;
 }
 
-int find_nearest_frame(const Log& sequence, double time_s) {
+int find_nearest_frame(const Log& log, double time_s) {
     const auto distance_s = [&](const Frame& frame) { return std::abs(frame.time_s - time_s); };
-    return std::ranges::min_element(sequence.frames, {}, distance_s)->index;
+    return std::ranges::min_element(log.frames, {}, distance_s)->index;
 }
 
 /// Returns the request for a scan. Without a pose, the sensor follows the log's path.
 ScanRequest make_request(const RenderArguments& arguments, const Run& run, int lidar) {
-    const Log& log = run.sequence;
+    const Log& log = run.log;
     const bool follows_log = arguments.pose.is_none();
     ScanRequest request;
     request.time_s = arguments.time.value_or(log.frames.front().time_s);
@@ -89,11 +89,11 @@ ScanRequest make_request(const RenderArguments& arguments, const Run& run, int l
 /// Returns the request for a scan and its sensor. Without a pose, the sensor also has the
 /// head angles of the log's sweep.
 std::pair<ScanRequest, SimulatedSensor> prepare_scan(const RenderArguments& arguments, const Run& run) {
-    const int lidar = find_lidar(run.sequence, arguments.lidar);
+    const int lidar = find_lidar(run.log, arguments.lidar);
     const ScanRequest request = make_request(arguments, run, lidar);
     SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
     if (arguments.pose.is_none())
-        sensor = follow_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
+        sensor = follow_sweep(sensor, run.log.frames, run.log.lidars, request.time_s);
     return {request, sensor};
 }
 
@@ -166,8 +166,7 @@ py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
         add_spawned(renderer.spawned(), format);  // Only the renderer has spawned actors.
         return renderer.render(sensor, request, arguments.sample);
     });
-    py::dict arrays =
-        to_array_dict(scan_arrays(scan, find_nearest_frame(run.sequence, request.time_s), format));
+    py::dict arrays = to_array_dict(scan_arrays(scan, find_nearest_frame(run.log, request.time_s), format));
     if (!arguments.boxes) return arrays;
     // Actors with poses in the request were not rendered where the log has them.
     if (request.dataset_from_actor) move_actor_boxes(format, *request.dataset_from_actor);
@@ -202,10 +201,10 @@ py::dict render_points(LoadedRun& loaded, const RenderArguments& arguments) {
 }
 
 /// Returns the rays of a frame and their measured values, as training uses them.
-py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
+py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& recorded,
                             IntegerArgument<std::uint32_t, "position"> position) {
     const Run& run = loaded.run;
-    const std::vector<Frame>&run_frames = run.sequence.frames, &log_frames = log.sequence.frames;
+    const std::vector<Frame>&run_frames = run.log.frames, &log_frames = recorded.log.frames;
     if (position >= run_frames.size() || position >= log_frames.size() ||
         run_frames[position].index != log_frames[position].index)
         fail<UsageError>(
@@ -223,9 +222,9 @@ py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
     dict["rays"] = move_to_numpy<float>(std::move(training.rays), {n, kRayNumbers});
     dict["measured"] = move_to_numpy<float>(std::move(training.targets), {n, kTargetNumbers});
     // Position of the sensor in the scene at the time of the frame.
-    const Pose& mounting = run.sequence.lidar_of(frame).vehicle_from_sensor;
+    const Pose& mounting = run.log.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 sensor_m =
-        run.sequence.world_from_vehicle.mounted_pose_at(frame.time_s, mounting).translation;
+        run.log.world_from_vehicle.mounted_pose_at(frame.time_s, mounting).translation;
     dict["view_origin"] = move_to_numpy<double>(std::vector{sensor_m.x, sensor_m.y, sensor_m.z}, {3});
     dict["shape"] = py::make_tuple(frame.scan.rays.rows, frame.scan.rays.columns);
     return dict;
@@ -352,15 +351,15 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
-                SimulatedSensor choice = sensor_for_run(sensor, run.run, find_lidar(run.run.sequence, lidar));
+                SimulatedSensor choice = sensor_for_run(sensor, run.run, find_lidar(run.run.log, lidar));
                 if (!is_rolling(choice, run.run.config)) std::ranges::fill(choice.rays.time_offset_s, 0.0f);
                 return to_array_dict(choice.rays);
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "",
             "Returns the rays of a sensor. The arguments accept the same values as in render().")
-        .def("training_rays", &training_rays_dict, py::arg("sequence"), py::arg("position"),
+        .def("training_rays", &training_rays_dict, py::arg("log"), py::arg("position"),
              "Returns a scan as training uses it, in the frame of the scene.\n\n"
-             "sequence: the log of the run\n"
+             "log: the log of the run\n"
              "position: of the frame in `times`\n\n"
              "Returns a dict: rays [n,7] float32 (origin, direction, seconds from the time of the frame), "
              "measured [n,3] float32 (range in metres,\n"
@@ -383,7 +382,7 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
 }
 
 void bind_properties(py::class_<LoadedRun>& run_class) {
-    bind_sequence_properties(run_class, [](const LoadedRun& run) -> const Log& { return run.run.sequence; });
+    bind_log_properties(run_class, [](const LoadedRun& run) -> const Log& { return run.run.log; });
     run_class
         .def_property_readonly(
             "folder", [](const LoadedRun& run) { return run.run.folder.string(); },
@@ -403,7 +402,7 @@ void bind_properties(py::class_<LoadedRun>& run_class) {
             "Indices of the held-out frames in `times`.")
         .def_property_readonly(
             "actors",
-            [](const LoadedRun& run) { return track_dict(run.run.sequence, actor_names(run.run.scene)); },
+            [](const LoadedRun& run) { return track_dict(run.run.log, actor_names(run.run.scene)); },
             "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses [n,4,4]) "
             "of the centre of the box, in the form of render().")
         .def_property_readonly(
@@ -411,7 +410,7 @@ void bind_properties(py::class_<LoadedRun>& run_class) {
             [](const LoadedRun& run) {
                 std::map<std::string, std::string> categories;
                 for (const ModelInstance& instance : run.run.scene.instances)
-                    if (const BoxTrack* box = find_box(run.run.sequence, instance.track))
+                    if (const BoxTrack* box = find_box(run.run.log, instance.track))
                         categories[box->id] = label_of(*box);
                 return categories;
             },

@@ -66,9 +66,9 @@ RayTable read_rays(const py::dict& dict) {
 }  // namespace
 
 SimulatedSensor sensor_for_run(const py::handle& sensor, const Run& run, int lidar) {
-    if (sensor.is_none()) return make_sensor(run.config, run.sequence, lidar);
+    if (sensor.is_none()) return make_sensor(run.config, run.log, lidar);
     if (py::isinstance<py::str>(sensor))
-        return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
+        return choose_sensor(sensor.cast<std::string>(), run.config, run.log, lidar);
     if (!py::isinstance<py::dict>(sensor))
         throw UsageError(
             "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of a sensor "

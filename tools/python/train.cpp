@@ -6,10 +6,10 @@
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/train/train.hpp>
 #include "calls.hpp"
+#include "log.hpp"
 #include "losses.hpp"
 #include "module.hpp"
 #include "run.hpp"
-#include "sequence.hpp"
 
 namespace relidar::python {
 namespace {
@@ -28,13 +28,13 @@ struct TrainArguments {
 
 /// Returns the settings of a training: those of the user, except settings with which the
 /// log was already read. The log is split into training and held-out frames only now.
-Config merge_settings(const LoadedLog& log, const std::optional<Config>& requested) {
-    if (!requested) return log.config;
+Config merge_settings(const LoadedLog& loaded, const std::optional<Config>& requested) {
+    if (!requested) return loaded.config;
     Config config = *requested;
-    config.dataset = log.config.dataset;
+    config.dataset = loaded.config.dataset;
     config.dataset.test_every = requested->dataset.test_every;
     config.dataset.test_frames = requested->dataset.test_frames;
-    config.sensor.rolling_shutter = log.config.sensor.rolling_shutter;
+    config.sensor.rolling_shutter = loaded.config.sensor.rolling_shutter;
     return config;
 }
 
@@ -88,9 +88,9 @@ TrainResult train_scene(const SharedDevice& device, Run& run, const TrainArgumen
     const DeviceLock use(*device);
     // The progress of this step only checks for Ctrl-C and earlier exceptions.
     const auto check_signals = [&](std::string_view, double) { (void)python_calls.can_continue(); };
-    prepare_log(run.sequence, run.split, run.config, {note, stop, check_signals});
-    if (start) check_resume(*start, run.sequence, run.split, run.config);
-    return train(device->device, run.sequence, run.split, run.config, wrap_callback(arguments, python_calls),
+    prepare_log(run.log, run.split, run.config, {note, stop, check_signals});
+    if (start) check_resume(*start, run.log, run.split, run.config);
+    return train(device->device, run.log, run.split, run.config, wrap_callback(arguments, python_calls),
                  {.checkpoints = arguments.checkpoints.value_or(""),
                   .start = start ? &*start : nullptr,
                   .stop = stop,
@@ -138,12 +138,12 @@ void train_drop_network(LockableDevice& device, Run& run, const TrainArguments& 
 
 /// Trains a run in the same steps as `relidar train`, but keeps it only in memory and
 /// frees its scans at the end.
-std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments& arguments) {
-    const Config config = merge_settings(log, arguments.config);
+std::unique_ptr<LoadedRun> train_run(const LoadedLog& loaded, const TrainArguments& arguments) {
+    const Config config = merge_settings(loaded, arguments.config);
     Run run;
     run.config = config;
-    run.sequence = log.sequence;
-    run.split = split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames);
+    run.log = loaded.log;
+    run.split = split_frames(loaded.log, config.dataset.test_every, config.dataset.test_frames);
     const SharedDevice device = device_or_default(arguments.device);
     PythonCallGuard python;
     TrainResult result;
@@ -161,7 +161,7 @@ std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments&
         finish_run(*device, run, python);
         if (config.refine.enabled) train_drop_network(*device, run, arguments, python);
     }
-    for (Frame& frame : run.sequence.frames) frame.scan = {};
+    for (Frame& frame : run.log.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
@@ -185,15 +185,14 @@ void bind_train(py::module_& module) {
         .def_readonly("n_surfels", &TrainProgress::n_surfels);
     module.def(
         "train",
-        [](const LoadedLog& sequence, std::optional<Config> config,
+        [](const LoadedLog& loaded, std::optional<Config> config,
            std::optional<std::function<py::object(const TrainProgress&)>> callback,
            std::optional<std::function<void(const std::string&)>> note, std::optional<fs::path> checkpoints,
            bool resume, std::vector<py::function> losses, SharedDevice device) {
-            return train_run(sequence,
-                             {std::move(config), std::move(callback), std::move(note), std::move(checkpoints),
-                              resume, std::move(losses), std::move(device)});
+            return train_run(loaded, {std::move(config), std::move(callback), std::move(note),
+                                      std::move(checkpoints), resume, std::move(losses), std::move(device)});
         },
-        py::arg("sequence"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(),
+        py::arg("log"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(),
         py::arg("note") = py::none(), py::arg("checkpoints") = py::none(), py::arg("resume") = false,
         py::arg("losses") = py::tuple(), py::arg("device") = py::none(),
         "Trains a scene on the training frames of a log. With refine.enabled, it also trains the network "

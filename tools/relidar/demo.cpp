@@ -61,7 +61,7 @@ Evaluation score_held_out(Device& device, const Run& run, bool quiet) {
     ScanRenderer renderer(device, run);
     std::vector<ScoredFrame> with_images;
     Evaluation evaluation =
-        evaluate_frames(renderer, run.config, run.sequence, run.split.test, interruptible_progress(progress),
+        evaluate_frames(renderer, run.config, run.log, run.split.test, interruptible_progress(progress),
                         [&](const ScoredFrame& frame) { with_images.push_back(frame); });
     evaluation.frames = std::move(with_images);
     return evaluation;
@@ -72,15 +72,15 @@ Evaluation score_held_out(Device& device, const Run& run, bool quiet) {
 Evaluation score_shifted(Device& device, const Run& run, const StreetOptions& street, bool quiet) {
     TerminalProgress progress(quiet);
     ScanRenderer renderer(device, run);
-    const PoseTrack track = mount_track(run.sequence.lidar_track(0), kSensorShift);
-    const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
+    const PoseTrack track = mount_track(run.log.lidar_track(0), kSensorShift);
+    const RayTable rays = make_rays(run.log.lidars[0].sensor);
     std::vector<ScoredFrame> frames;
     for (const int position : run.split.test) {
         check_interrupt();
-        const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        const Frame& frame = run.log.frames[static_cast<std::size_t>(position)];
         Frame exact{frame.index, frame.time_s, cast_street_rays(street, rays, track, frame.time_s)};
-        limit_ranges(exact.scan, run.sequence.lidars[0].sensor.range_limits());
-        frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kSensorShift));
+        limit_ranges(exact.scan, run.log.lidars[0].sensor.range_limits());
+        frames.push_back(score_frame(renderer, run.config, run.log, exact, kSensorShift));
         progress.show_step("scoring the shifted sensor: frame", frames.size(), run.split.test.size());
     }
     return summarise(std::move(frames), renderer.times());
@@ -89,7 +89,7 @@ Evaluation score_shifted(Device& device, const Run& run, const StreetOptions& st
 /// Writes the rendered scans of scored frames, with pictures of real and rendered ranges.
 void write_demo_scans(const fs::path& folder, const Evaluation& result, const Run& run, const Pose& offset) {
     const OutputFolder created(folder);
-    ScanOutputOptions format = default_options(run, make_sensor(run.config, run.sequence));
+    ScanOutputOptions format = default_options(run, make_sensor(run.config, run.log));
     format.offset = offset;
     format.formats = {"npz", "png", "ply", "exr"};
     ScanFolderWriter scans(folder, format);
@@ -149,12 +149,12 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     StreetOptions street;
     street.seed = config.train.seed;
     save_street(street, out / "street");
-    Log sequence = load_dataset(config, options.quiet);
-    const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
+    Log log = load_dataset(config, options.quiet);
+    const Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) {
         print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n",
-                          sequence.name, sequence.frames.size(), street.rows, street.columns,
-                          split.test.size(), config.train.iterations, device.info().name));
+                          log.name, log.frames.size(), street.rows, street.columns, split.test.size(),
+                          config.train.iterations, device.info().name));
         std::fflush(stdout);
     }
 
@@ -162,10 +162,10 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     install_handlers();
     remove_results(run_folder.path());
     remove_blocks(run_folder.path());
-    prepare_log(sequence, split, config, options.quiet);
-    TrainResult result = train_scene(device, sequence, split, config, run_folder.path(), options.quiet);
+    prepare_log(log, split, config, options.quiet);
+    TrainResult result = train_scene(device, log, split, config, run_folder.path(), options.quiet);
     end_progress();
-    Run run{run_folder.path(), with_max_range(config, sequence), std::move(sequence), split, {}, {}};
+    Run run{run_folder.path(), with_max_range(config, log), std::move(log), split, {}, {}};
     move_result(run, result);
     save_run(run);
     check_interrupt();

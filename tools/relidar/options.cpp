@@ -223,7 +223,7 @@ Run load_configured_run(const std::string& folder, const std::vector<std::string
                         const std::optional<std::string>& channels, bool no_refine) {
     Run run = load_run(folder);
     apply_settings(run.config, sets);
-    run.config = with_max_range(std::move(run.config), run.sequence);
+    run.config = with_max_range(std::move(run.config), run.log);
     if (channels) set_value(run.config, "render.channels", *channels);
     if (no_refine) run.config.refine.enabled = false;
     return run;
@@ -238,17 +238,17 @@ std::string absolute_path(const std::string& path) {
 Log load_dataset(const Config& config, bool quiet, int max_scans_per_lidar) {
     TerminalProgress progress(quiet);
     limit_scan_memory(std::uint64_t(config.dataset.memory_mib) << 20);
-    Log sequence = load_log(config, progress_callback(progress), max_scans_per_lidar);
-    if (!sequence.frames.empty())
-        note_missing_frames({config.dataset.frames_begin, config.dataset.frames_end},
-                            sequence.frames.back().index, sequence.source);
+    Log log = load_log(config, progress_callback(progress), max_scans_per_lidar);
+    if (!log.frames.empty())
+        note_missing_frames({config.dataset.frames_begin, config.dataset.frames_end}, log.frames.back().index,
+                            log.source);
     const ScanMemoryUse use = scan_memory_use();
     if (use.in_file > 0 && !quiet)
         print_note(fmt::format(
             "{} of scan data are stored in memory and {} in a temporary file in {}; the setting "
             "dataset.memory_mib is the limit",
             format_bytes(use.in_memory), format_bytes(use.in_file), fs::temp_directory_path().string()));
-    return sequence;
+    return log;
 }
 
 }  // namespace relidar::cli

@@ -33,7 +33,7 @@ public:
         : sensors_(list_sensors(bench.sensor.empty() ? "native" : bench.sensor, read_sensor_rig(bench.sensor),
                                 run, 0)),
           n_moments_((bench.n_scans - 1) / n_sensors() + 1) {
-        const PoseTrack log = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
+        const PoseTrack log = shift_track(run.log.lidar_track(0), run.log.world_offset_m);
         first_s_ = log.time_s.front();
         last_s_ = log.time_s.back();
         for (const RenderedSensor& sensor : sensors_)

@@ -60,7 +60,7 @@ std::size_t count_firsts(const LidarPoints& points) {
 /// Describes an actor: its class, size, and the length and times of its path.
 void write_actor(const Run& run, const std::string& actor_name, v1::Actor& message) {
     message.set_name(actor_name);
-    const BoxTrack* box = find_box(run.sequence, actor_name);
+    const BoxTrack* box = find_box(run.log, actor_name);
     if (!box) return;
     const PoseTrack& track = box->world_from_box;
     message.set_category(label_of(*box));
@@ -147,7 +147,7 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
 
 /// Describes a scene: its times, LiDARs and actors.
 void write_scene(const std::string& scene_name, const Run& run, v1::Scene& message) {
-    const Log& log = run.sequence;
+    const Log& log = run.log;
     message.set_name(scene_name);
     message.set_begin_s(log.frames.front().time_s);
     message.set_end_s(log.frames.back().time_s);
@@ -166,7 +166,7 @@ void write_scene(const std::string& scene_name, const Run& run, v1::Scene& messa
 
 void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
                   v1::GetTracksResponse& message) {
-    const Log& log = run.sequence;
+    const Log& log = run.log;
     const auto in_dataset = [&](const PoseTrack& track) { return shift_track(track, log.world_offset_m); };
     write_track(in_dataset(log.lidar_track(lidar)), *message.mutable_dataset_from_sensor());
     if (std::size_t(actors.size()) > run.scene.instances.size())
@@ -174,7 +174,7 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
     std::vector<std::string> names(actors.begin(), actors.end());
     if (names.empty()) names = run_actor_names(run);
     for (const std::string& name : names) {
-        const BoxTrack* box = find_box(run.sequence, name);
+        const BoxTrack* box = find_box(run.log, name);
         if (!box)
             refuse(Code::NOT_FOUND, "cannot read actors: found {}, expected an actor that ListScenes lists",
                    quote_client_text(name));

@@ -7,7 +7,7 @@
 
 #include <google/protobuf/repeated_ptr_field.h>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "relidar/v1/render.pb.h"
 

@@ -102,7 +102,7 @@ std::size_t RequestReader::find_scene(const std::string& scene_name, const std::
 
 int RequestReader::find_lidar(std::size_t scene, const std::string& name, const std::string& field) const {
     if (name.empty()) return 0;
-    return int(find_index_of_name(outlines_[scene].sequence.lidars, name, field));
+    return int(find_index_of_name(outlines_[scene].log.lidars, name, field));
 }
 
 std::pair<std::string, SensorPtr> RequestReader::cache_sensor(const v1::SensorSpec& spec) {
@@ -152,7 +152,7 @@ SensorPtr RequestReader::requested_sensor(const SensorRequest& request, std::siz
 std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene) const {
     const Run& run = outlines_[scene];
     const auto find_actor_box = [&](const std::string& track) {
-        const BoxTrack* box = find_box(run.sequence, track);
+        const BoxTrack* box = find_box(run.log, track);
         return box ? *box : BoxTrack{};
     };
     std::vector<VisibleActor> actors;

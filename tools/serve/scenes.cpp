@@ -101,7 +101,7 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
     count_bytes(scene, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
-        render_one_ray(*loaded.renderer, run.sequence);
+        render_one_ray(*loaded.renderer, run.log);
     });
     // Each further parallel scan needs a copy of the scene. No other scene is unloaded
     // for such copies. The scenes can exceed the limit, and then no bytes are free.

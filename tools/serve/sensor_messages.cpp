@@ -214,9 +214,9 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
 }
 
 SimulatedSensor find_known_sensor(const std::string& name, const Run& run, int lidar) {
-    if (name.empty()) return make_sensor(run.config, run.sequence, lidar);
+    if (name.empty()) return make_sensor(run.config, run.log, lidar);
     if (find_name(name, {"native", kitti360_grid().name}))
-        return choose_sensor(name, run.config, run.sequence, lidar);
+        return choose_sensor(name, run.config, run.log, lidar);
     // A name may end with columns and scans per second, for example "VLP-16:900x20". For
     // this check, any digits will do, because find_sensor() checks them.
     const std::size_t colon = name.rfind(':');

@@ -62,7 +62,7 @@ SensorPtr SensorsimReader::find_or_make_sensor(const sensorsim::LidarRenderReque
     const sensorsim::LidarType type = message.lidar().lidar_type();
     const std::string& id = message.lidar().logical_id();
     const bool is_of_log = type == sensorsim::OTHER;
-    const std::vector<Lidar>& lidars = outlines_[scene].sequence.lidars;
+    const std::vector<Lidar>& lidars = outlines_[scene].log.lidars;
     if (is_of_log && id.empty() && lidars.size() > 1)
         reject_field("lidar.logical_id", "no name, although lidar_type is OTHER",
                      fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
@@ -122,7 +122,7 @@ RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest&
     scan.scene = find_scene(message.scene_id());
     const SensorsimTimeFrame frame{checked_number(double(start_us) * kMicrosecond_s, "frame_start_us"),
                                    checked_number(double(end_us) * kMicrosecond_s, "frame_end_us"),
-                                   outlines_[scan.scene].sequence.world_offset_m};
+                                   outlines_[scan.scene].log.world_offset_m};
     scan.sensor = find_or_make_sensor(message, scan.scene);
 
     // The time of a scan is the middle of its sweep.
@@ -157,7 +157,7 @@ void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& messa
 /// Writes the tracks of all actors of a run that have a box.
 void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicObjectTracks& message) {
     for (const std::string& name : run_actor_names(run)) {
-        const BoxTrack* box = find_box(run.sequence, name);
+        const BoxTrack* box = find_box(run.log, name);
         if (!box) continue;
         sensorsim::DynamicObjectTrack& object = *message.add_dynamic_objects();
         object.set_id(name);
@@ -176,10 +176,9 @@ void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicOb
 }
 
 void write_paths(const Run& run, PoseTransformOrder order, sensorsim::AvailableTrajectories& message) {
-    write_track(run.sequence.world_from_vehicle, order, *message.add_trajectories()->mutable_trajectory());
-    for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i)
-        write_track(run.sequence.lidar_track(int(i)), order,
-                    *message.add_trajectories()->mutable_trajectory());
+    write_track(run.log.world_from_vehicle, order, *message.add_trajectories()->mutable_trajectory());
+    for (std::size_t i = 0; i < run.log.lidars.size(); ++i)
+        write_track(run.log.lidar_track(int(i)), order, *message.add_trajectories()->mutable_trajectory());
 }
 
 }  // namespace relidar::serve

@@ -113,7 +113,7 @@ void spawn_slots(ScanRenderer& renderer, const std::vector<SpawnSlot>& slots, st
             const AssetCatalogue::CatalogueEntry& asset = *assets.find_asset(source.name);
             Run run = load_run(asset.folder);
             // The output channel "class" reads the kind of the actor from its box.
-            for (BoxTrack& box : run.sequence.boxes) box.category = name_of(asset.facts.kind);
+            for (BoxTrack& box : run.log.boxes) box.category = name_of(asset.facts.kind);
             renderer.spawn(run, track);
         }
     }

@@ -79,10 +79,10 @@ FoxglovePlayer::FoxglovePlayer(const Run& run, Device& device, FoxgloveSendCallb
     : run_(run),
       device_(device),
       answers_(std::move(answers)),
-      sensor_(make_sensor(run.config, run.sequence)),
+      sensor_(make_sensor(run.config, run.log)),
       format_(default_options(run, sensor_)),
       topics_(ScanMessageEncoder({format_}).list_topics()) {
-    for (const Frame& frame : run.sequence.frames)
+    for (const Frame& frame : run.log.frames)
         if (frame.lidar == sensor_.lidar) times_s_.push_back(frame.time_s);
 }
 
@@ -196,7 +196,7 @@ void FoxglovePlayer::send_next() {
     // The log starts again. A new encoder is needed, because the times of its messages
     // must not decrease.
     if (frame == 0) playback_->messages = ScanMessageEncoder({format_});
-    const double period_s = run_.sequence.lidars[std::size_t(sensor_.lidar)].sweep_period_s();
+    const double period_s = run_.log.lidars[std::size_t(sensor_.lidar)].sweep_period_s();
     const std::chrono::duration<double> interval(frame > 0 ? times_s_[frame] - time_s : period_s);
     playback_->due =
         std::max(Clock::now(), playback_->due + std::chrono::duration_cast<Clock::duration>(interval));

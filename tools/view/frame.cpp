@@ -8,7 +8,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/simulate/place_points.hpp>
 
 namespace relidar::view {
@@ -86,16 +86,16 @@ ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
     return result;
 }
 
-ScanColumns measured_columns(const Log& sequence, const Frame& frame) {
+ScanColumns measured_columns(const Log& log, const Frame& frame) {
     const Scan& scan = frame.scan;
-    const PoseTrack world_from_sensor = sequence.lidar_track(frame.lidar);
+    const PoseTrack world_from_sensor = log.lidar_track(frame.lidar);
     ScanColumns result{.rows = scan.rays.rows,
                        .columns = scan.rays.columns,
                        .range_m = to_vector(scan.range_m),
                        .ring = to_vector(scan.rays.channel)};
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const WorldRay ray =
-            make_world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
+            make_world_ray(world_from_sensor, frame.time_s, scan.rays, i, log.rolling_shutter);
         result.position_m.push_back(glm::vec3(ray.origin_m + double(scan.range_m[i]) * ray.direction));
         result.intensity.push_back(to_byte(scan.intensity[i]));
         result.drop.push_back(scan.range_m[i] > 0.0f ? 0 : 255);

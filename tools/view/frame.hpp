@@ -53,7 +53,7 @@ ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
                               const glm::dvec3& world_offset_m);
 /// Converts a measured scan to the arrays of a message. With rolling shutter, each ray
 /// starts at the pose of its own firing time.
-ScanColumns measured_columns(const Log& sequence, const Frame& frame);
+ScanColumns measured_columns(const Log& log, const Frame& frame);
 
 /// 4x4 matrix in column-major order, as WebGL expects.
 nlohmann::json pose_json(const Pose& pose);

@@ -14,7 +14,7 @@ std::unique_ptr<Run> copy_run(const Run& run) {
     auto result = std::make_unique<Run>();
     result->folder = run.folder;
     result->config = run.config;
-    result->sequence = run.sequence;
+    result->log = run.log;
     return result;
 }
 
@@ -27,7 +27,7 @@ RecordedScans::~RecordedScans() {
     reader_.join();
 }
 
-const Log* RecordedScans::sequence() const { return state_ == State::ready ? &frames_->sequence : nullptr; }
+const Log* RecordedScans::log() const { return state_ == State::ready ? &frames_->log : nullptr; }
 
 std::string RecordedScans::reason() const { return state_ == State::missing ? why_ : ""; }
 
@@ -41,7 +41,7 @@ void RecordedScans::load_scans() {
         };
         limit_scan_memory(std::uint64_t(frames_->config.dataset.memory_mib) << 20);
         const Log log = load_log(frames_->config, check_stop);
-        std::vector<int> all(frames_->sequence.frames.size());
+        std::vector<int> all(frames_->log.frames.size());
         std::iota(all.begin(), all.end(), 0);
         copy_scans(*frames_, all, log);
         state_ = State::ready;  // From now on, other threads may read the scans.

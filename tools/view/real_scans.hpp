@@ -23,7 +23,7 @@ public:
 
     State state() const { return state_; }
     std::string reason() const;
-    const Log* sequence() const;
+    const Log* log() const;
 
 private:
     void load_scans();

@@ -44,7 +44,7 @@ std::string run_path_hash(const Run& run) {
 Json copyable_actors(const Run& run) {
     Json actors = Json::array();
     for (const ModelInstance& instance : run.scene.instances) {
-        if (const BoxTrack* box = find_box(run.sequence, instance.track))
+        if (const BoxTrack* box = find_box(run.log, instance.track))
             actors.push_back({{"track", box->id}, {"category", box->category}});
     }
     return actors;
@@ -52,7 +52,7 @@ Json copyable_actors(const Run& run) {
 
 /// Returns the frames of the log with their positions on the recorded path.
 Json frames_json(const Run& run) {
-    const Log& log = run.sequence;
+    const Log& log = run.log;
     Json frames = Json::array();
     for (std::size_t i = 0; i < log.frames.size(); ++i) {
         const Frame& frame = log.frames[i];
@@ -138,7 +138,7 @@ BrowserScanRenderer::BrowserScanRenderer(Run run, OtherRunsByName others, Device
 /// ViewerSession adds. It describes the run, its frames and path, the available sensors,
 /// the actors of other runs, and the device.
 Json BrowserScanRenderer::page_data() const {
-    const Log& log = run_.sequence;
+    const Log& log = run_.log;
     Json lidars = Json::array(), others = Json::array();
     for (const Lidar& lidar : log.lidars)
         lidars.push_back({{"name", lidar.name}, {"sensor", lidar.sensor.name}});
@@ -167,9 +167,9 @@ Json BrowserScanRenderer::page_data() const {
 /// Returns the sensor that a browser tab has selected. Reuses the sensor of the previous
 /// scan, because computing its rays takes time.
 SimulatedSensor BrowserScanRenderer::tab_sensor(TabCache& tab_cache, const LiveScanRequest& request) const {
-    if (request.lidar < 0 || std::size_t(request.lidar) >= run_.sequence.lidars.size())
+    if (request.lidar < 0 || std::size_t(request.lidar) >= run_.log.lidars.size())
         fail<UsageError>("cannot select a LiDAR: found the index {}, but the log has {} LiDARs",
-                         request.lidar, run_.sequence.lidars.size());
+                         request.lidar, run_.log.lidars.size());
     if (request.sensor == kFileSensor) {
         if (!tab_cache.file_sensor)
             throw UsageError("cannot use a sensor file: none is loaded; choose a file first");
@@ -182,7 +182,7 @@ SimulatedSensor BrowserScanRenderer::tab_sensor(TabCache& tab_cache, const LiveS
     // Rejects paths, so that clients cannot read files of the server.
     if (std::ranges::count(sensor_names(), request.sensor) == 0)
         fail<UsageError>("unknown sensor \"{}\"; expected a name from the list of sensors", request.sensor);
-    tab_cache.sensor.emplace(key, choose_sensor(request.sensor, run_.config, run_.sequence, request.lidar));
+    tab_cache.sensor.emplace(key, choose_sensor(request.sensor, run_.config, run_.log, request.lidar));
     check_ray_count(tab_cache.sensor->second);
     return tab_cache.sensor->second;
 }
@@ -213,13 +213,13 @@ Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& fi
 /// their poses. Adds notes about unseen sides to actor_notes_.
 Run BrowserScanRenderer::make_edited_run(const ActorEdits& edits) {
     Run run = run_;
-    SceneWithLog with_copies = add_copies({std::move(run.scene), run.sequence}, others_, edits.copies);
+    SceneWithLog with_copies = add_copies({std::move(run.scene), run.log}, others_, edits.copies);
     // set_driving_scene() mirrors surfels only for actors without an equal box in `run`.
     // Afterwards, `run` has all boxes of `with_copies`.
-    std::erase_if(run.sequence.boxes, [&](const BoxTrack& box) { return is_moved(edits, box.id); });
+    std::erase_if(run.log.boxes, [&](const BoxTrack& box) { return is_moved(edits, box.id); });
     run.set_driving_scene(std::move(with_copies));
     for (const ModelInstance& instance : run.scene.instances) {
-        const bool is_copy = !find_box(run_.sequence, instance.track);
+        const bool is_copy = !find_box(run_.log, instance.track);
         if (!is_copy && !edits.moves.contains(instance.track)) continue;
         const std::string note = describe_unseen(run.scene, instance.track);
         if (!note.empty()) actor_notes_.push_back(note);
@@ -249,7 +249,7 @@ ScanRenderer& BrowserScanRenderer::edited_renderer(const EditedTraffic& traffic)
 /// Returns the measured scan that is nearest to the requested time. Null if the user does
 /// not want it, or if the log is not loaded.
 const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request) const {
-    const Log* log = recorded_.sequence();
+    const Log* log = recorded_.log();
     if (!log || !request.real) return nullptr;
     const Frame* nearest = nullptr;
     const auto distance_s = [&](const Frame& frame) { return std::abs(frame.time_s - request.time_s); };
@@ -263,7 +263,7 @@ const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request)
 /// Renders a scan of the edited scene, with the sensor at its offset from the LiDAR.
 RenderedScan BrowserScanRenderer::render_scan(const EditedTraffic& traffic, const LiveScanRequest& request,
                                               const SimulatedSensor& sensor) {
-    const Log& log = run_.sequence;
+    const Log& log = run_.log;
     const PoseTrack sensor_track = mount_track(log.lidar_track(request.lidar), request.sensor_offset);
     ScanRequest scan;
     scan.time_s = request.time_s;
@@ -294,7 +294,7 @@ Json BrowserScanRenderer::kernel_times() {
 /// Returns the part of the answer that needs no rendering: poses, actors and names.
 Json BrowserScanRenderer::scan_header(const EditedTraffic& traffic, const LiveScanRequest& request,
                                       const SimulatedSensor& sensor) const {
-    const Pose log_pose = run_.sequence.lidar_track(request.lidar).pose_at(request.time_s);
+    const Pose log_pose = run_.log.lidar_track(request.lidar).pose_at(request.time_s);
     Json names = Json::array();
     for (const ModelInstance& instance : traffic.instances())
         names.push_back(instance.track.empty() ? "background" : instance.track);
@@ -329,7 +329,7 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
     std::optional<ScanColumns> simulated, measured;
     if (real_frame) {
         header["real_frame"] = real_frame->index;
-        measured = measured_columns(*recorded_.sequence(), *real_frame);
+        measured = measured_columns(*recorded_.log(), *real_frame);
     }
     if (request.simulate) {
         if (is_matched) {
@@ -344,7 +344,7 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
             header["much_unseen"] = *scan.unseen_share > kMuchUnseen;
         }
         header["kernels"] = kernel_times();
-        simulated = simulated_columns(scan, run_.config, run_.sequence.world_offset_m);
+        simulated = simulated_columns(scan, run_.config, run_.log.world_offset_m);
     }
     header["total_ms"] = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
     return encode_scans(std::move(header), simulated ? &*simulated : nullptr,

@@ -40,7 +40,7 @@ SceneWithLog apply_moves(SceneWithLog scene, const ActorEdits& edits) {
 
 /// Returns the scene and the log of a run without scans and surfels.
 SceneWithLog copy_tracks(const Run& run) {
-    SceneWithLog driving{strip_surfels(run.scene), run.sequence};
+    SceneWithLog driving{strip_surfels(run.scene), run.log};
     for (SurfelModel& model : driving.scene.models) model.first = model.count = 0;
     return driving;
 }
@@ -59,7 +59,7 @@ SceneWithLog copy_actors(SceneWithLog scene, const OtherRunsByName& others,
                          const std::vector<ActorEdits::ActorCopy>& copies,
                          SceneWithLog (*load_source)(const Run&)) {
     for (const ActorEdits::ActorCopy& copy : copies) {
-        const NewActorMotion start = copy_motion(copy, scene.sequence.world_offset_m);
+        const NewActorMotion start = copy_motion(copy, scene.log.world_offset_m);
         if (copy.from.empty()) {
             scene = copy_track(std::move(scene), copy.of, start);
         } else {
@@ -96,7 +96,7 @@ std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName
     std::vector<EditHistoryEntry> history;
     for (const ActorEdits::ActorCopy& copy : edits.copies) {
         // Options have positions in the dataset's world frame.
-        const glm::dvec3 p = copy_motion(copy, run.sequence.world_offset_m).dataset_from_box.translation;
+        const glm::dvec3 p = copy_motion(copy, run.log.world_offset_m).dataset_from_box.translation;
         const double yaw_deg = copy.at[3], pitch_deg = copy.at[4], roll_deg = copy.at[5];
         const std::string start = fmt::format("{},{},{},{},{},{}:{}", p.x, p.y, p.z, yaw_deg, pitch_deg,
                                               roll_deg, /*speed_mps*/ copy.at[6]);
@@ -123,11 +123,11 @@ ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& othe
                                      const GroundPoseRequest& request) {
     const Run& owner = request.from.empty() ? run : find_other_run(request.from, others);
     // Position in the dataset's world frame = position in relidar's world frame + offset.
-    const glm::dvec3& offset_m = run.sequence.world_offset_m;
+    const glm::dvec3& offset_m = run.log.world_offset_m;
     GroundPlacement placement{.dataset_m = {request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
     placement.clearance_m = read_clearance(owner);
     const Pose dataset_from_box =
-        stand_on_ground({run.scene, run.sequence}, placement, {owner.scene, owner.sequence}, request.of)
+        stand_on_ground({run.scene, run.log}, placement, {owner.scene, owner.log}, request.of)
             .dataset_from_box;
     const glm::dvec3 p = dataset_from_box.translation - offset_m;
     const glm::dvec3 angles_deg = rotation_angles(dataset_from_box.rotation) / kRadPerDegree;
@@ -148,11 +148,11 @@ EditedTraffic::EditedTraffic(const Run& run, const OtherRunsByName& others, cons
 /// dataset. Actors without surfels are left out, because they cannot be rendered.
 ActorTracksByName EditedTraffic::visible_poses(double time_s) const {
     ActorTracksByName poses;
-    for (const BoxTrack& box : driving_.sequence.boxes) {
+    for (const BoxTrack& box : driving_.log.boxes) {
         const bool has_surfels =
             !box.id.empty() && std::ranges::count(instances(), box.id, &ModelInstance::track) > 0;
         if (has_surfels && is_shown(box) && box.is_observed(time_s))
-            poses[box.id] = shift_track(box.world_from_box, driving_.sequence.world_offset_m);
+            poses[box.id] = shift_track(box.world_from_box, driving_.log.world_offset_m);
     }
     return poses;
 }
@@ -161,7 +161,7 @@ ActorTracksByName EditedTraffic::visible_poses(double time_s) const {
 nlohmann::json EditedTraffic::actors_json(double time_s) const {
     nlohmann::json actors = nlohmann::json::array();
     for (const ModelInstance& instance : instances()) {
-        const BoxTrack* box = find_box(driving_.sequence, instance.track);
+        const BoxTrack* box = find_box(driving_.log, instance.track);
         if (!box) continue;
         actors.push_back({{"track", box->id},
                           {"category", box->category},
@@ -174,8 +174,7 @@ nlohmann::json EditedTraffic::actors_json(double time_s) const {
 
 Run apply_edits(const Run& run, const OtherRunsByName& others, const ActorEdits& edits) {
     Run result = run;
-    SceneWithLog driving =
-        apply_moves(add_copies({result.scene, result.sequence}, others, edits.copies), edits);
+    SceneWithLog driving = apply_moves(add_copies({result.scene, result.log}, others, edits.copies), edits);
     for (const std::string& track : edits.removed) driving = remove_track(std::move(driving), track);
     result.set_driving_scene(std::move(driving));
     const std::vector<EditHistoryEntry> done = make_history(run, others, edits);

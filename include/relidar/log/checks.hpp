@@ -2,13 +2,13 @@
 // Checks of a loaded log that make it unusable if they fail.
 #pragma once
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 
 /// Checks that a log can be used, for example that times ascend, numbers are finite and
-/// arrays have equal lengths. load_sequence() calls this function.
+/// arrays have equal lengths. load_log() calls this function.
 /// @throws DataError naming the frame or box, the field and the value
-void check_sequence(const Log& sequence);
+void check_log(const Log& log);
 
 }  // namespace relidar

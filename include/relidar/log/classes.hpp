@@ -57,7 +57,7 @@ using SurfaceClassMap = std::vector<SurfaceClassCell>;
 /// @param boxes  boxes of the objects of the log; returns in moving boxes are ignored
 /// @param frames  indices into Log::frames of the frames to use
 /// @return an empty map if no scan has classes
-SurfaceClassMap map_classes(const Log& sequence, const PoseTrack& world_from_vehicle,
+SurfaceClassMap map_classes(const Log& log, const PoseTrack& world_from_vehicle,
                             const std::vector<BoxTrack>& boxes, const std::vector<int>& frames);
 
 /// Adds the cells of another map. If both maps have a cell at the same position, keeps

@@ -11,7 +11,7 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 
@@ -62,7 +62,7 @@ private:
 /// @param world_from_vehicle  poses of the vehicle at the times of the frames
 /// @param frames  indices into Log::frames of the frames to use
 /// @param max_range_m  maximum observed length of a ray
-ObservedVoxelSet observe_coverage(const Log& sequence, const PoseTrack& world_from_vehicle,
+ObservedVoxelSet observe_coverage(const Log& log, const PoseTrack& world_from_vehicle,
                                   const std::vector<int>& frames, double max_range_m);
 
 }  // namespace relidar

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 

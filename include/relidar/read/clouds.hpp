@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/read/points.hpp>
 
 namespace relidar {
@@ -119,15 +119,15 @@ Pose make_pose(std::span<const double> matrix, const std::string& where);
 
 /// Appends a frame with an empty scan, and the vehicle's pose at this time unless a frame
 /// of another LiDAR has added it.
-Frame& add_frame(Log& sequence, int number, double time_s, const Pose& world_from_vehicle, int lidar = 0);
+Frame& add_frame(Log& log, int number, double time_s, const Pose& world_from_vehicle, int lidar = 0);
 
 /// Moves the world origin to the vehicle at the middle pose of the log, so that
 /// coordinates are small enough for single precision. Adjusts poses, boxes and
 /// world_offset_m.
-void centre_log(Log& sequence);
+void centre_log(Log& log);
 /// Moves the world origin to a given point, and adjusts the log in the same way.
 /// @param new_origin_m  new origin, in the world frame before the move
-void centre_log(Log& sequence, glm::dvec3 new_origin_m);
+void centre_log(Log& log, glm::dvec3 new_origin_m);
 
 /// Box of an object at one time, as the labels of a dataset store it.
 struct BoxLabel {

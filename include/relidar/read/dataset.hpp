@@ -10,7 +10,7 @@
 #include <vector>
 
 #include <relidar/base/progress.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 
@@ -75,9 +75,15 @@ struct DatasetOptions {
 /// detect_kind() returns
 /// @throws DataError naming the file and the error in it
 /// @throws UsageError for an unknown kind or an empty frame range
-Log load_sequence(const std::string& dataset, const DatasetOptions& options);
+Log load_log(const std::string& dataset, const DatasetOptions& options);
 
-/// Makes the path in a dataset argument of load_sequence() absolute, so that the argument
+/// Old name of load_log(), only in version 0.1.
+[[deprecated("use load_log()")]] inline Log load_sequence(const std::string& dataset,
+                                                          const DatasetOptions& options) {
+    return load_log(dataset, options);
+}
+
+/// Makes the path in a dataset argument of load_log() absolute, so that the argument
 /// does not depend on the working directory. Keeps a prefix "kind:".
 std::string absolute_dataset(const std::string& dataset);
 
@@ -94,7 +100,7 @@ struct LogFolderOptions {
     /// If the callback throws an exception, writing stops and leaves no files.
     Progress progress = {};
 };
-/// Writes a log as a plain folder (kind "folder", docs/datasets.md) that load_sequence()
+/// Writes a log as a plain folder (kind "folder", docs/datasets.md) that load_log()
 /// can read. All rays are preserved bit by bit, including dropped rays and second
 /// returns. Times, boxes and notes are preserved too. Poses are preserved to a nanometre.
 /// Values that are estimated later, for example the intensity response of beams, are not
@@ -169,7 +175,7 @@ Scan cast_street_rays(const StreetOptions& options, const std::vector<SyntheticC
 /// @throws DataError naming the key that is wrong
 StreetOptions load_street(const std::filesystem::path& folder);
 
-/// Writes a synthetic log as a folder that load_sequence() can read (kind "synthetic").
+/// Writes a synthetic log as a folder that load_log() can read (kind "synthetic").
 /// The folder holds only the options of the street, in `street.toml`.
 void save_street(const StreetOptions& options, const std::filesystem::path& folder);
 

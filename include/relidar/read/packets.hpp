@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes scans as the packets that a LiDAR sends. Rounding, block order, firing times and
-// packet counters follow the manuals. load_sequence() can read these packets.
+// packet counters follow the manuals. load_log() can read these packets.
 #pragma once
 
 #include <cstdint>
@@ -11,8 +11,8 @@
 #include <vector>
 
 #include <relidar/base/progress.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/log/sensor.hpp>
-#include <relidar/log/sequence.hpp>
 
 namespace relidar {
 

@@ -8,7 +8,7 @@
 
 #include <relidar/base/process_group.hpp>
 #include <relidar/base/progress.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 
@@ -125,7 +125,7 @@ struct ScanAlignment {
 /// Gauss-Newton step. Uses all LiDARs that swept at that time.
 /// @param pose  index into Log::world_from_vehicle
 /// @param unobserved  find_unobserved_motions() of this pose
-ScanAlignment align_scan(const Log& sequence, std::size_t pose, const SceneCaster& scene_view,
+ScanAlignment align_scan(const Log& log, std::size_t pose, const SceneCaster& scene_view,
                          const std::vector<UnobservedMotion>& unobserved, const RegistrationOptions& options);
 
 /// Returns for each pose of the log which motions its scans do not show: those for which

@@ -8,7 +8,7 @@
 #include <filesystem>
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/scene/scene.hpp>
@@ -32,7 +32,7 @@ std::vector<TrajectoryBlock> plan_blocks(const Log& log, const Split& split, con
 /// Training frames of a block, held-out frames recorded in it, and boxes near these
 /// frames.
 struct BlockTrainingLog {
-    Log sequence;
+    Log log;
     Split split;
     /// They do not divide the log again, and list only the actor tracks of this block.
     Config config;

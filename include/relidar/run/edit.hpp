@@ -12,7 +12,7 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/scene/scene.hpp>
 
 namespace relidar {
@@ -45,7 +45,7 @@ struct GroundPlacement {
 
 struct SceneWithLogView {
     const Scene& scene;
-    const Log& sequence;
+    const Log& log;
 };
 
 /// Returns the height of the bottom of an actor's box above the ground in metres: the
@@ -131,7 +131,7 @@ SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTr
 
 /// Returns a message with the number of frames in which an edit has made an actor absent.
 /// Returns an empty string if there are none, or if the edited log has no such track.
-std::string describe_absence(const BoxTrack& original_box, const Log& edited_sequence);
+std::string describe_absence(const BoxTrack& original_box, const Log& edited_log);
 
 /// Replaces the trajectory of an actor. Between the poses, positions are interpolated
 /// linearly and rotations by slerp. Before the first and after the last pose, the actor

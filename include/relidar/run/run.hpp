@@ -12,8 +12,8 @@
 #include <relidar/diff/network.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/log/scatter.hpp>
-#include <relidar/log/sequence.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/scene/scene.hpp>
 
@@ -41,7 +41,7 @@ struct EditHistoryEntry {
 struct Run {
     std::filesystem::path folder;
     Config config;
-    Log sequence;
+    Log log;
     Split split;
     Scene scene;
     std::vector<EditHistoryEntry> edits{};  ///< Edit history, oldest first. Empty for a run without edits.
@@ -60,7 +60,7 @@ struct Run {
 
     /// Returns the scene and its log as one object for edit functions. Example:
     /// run.set_driving_scene(remove_track(run.driving_scene(), "0")).
-    SceneWithLog driving_scene() const { return {scene, sequence}; }
+    SceneWithLog driving_scene() const { return {scene, log}; }
     /// Replaces scene and log. Completes actors whose tracks differ from those of this
     /// run (complete_actors()).
     void set_driving_scene(SceneWithLog driving_scene);
@@ -85,7 +85,7 @@ void replace_run(const Run& run);
 /// enables it. config.dataset.memory_mib is not used: call
 /// limit_scan_memory() before.
 /// @param max_scans maximum number of scans, as in DatasetOptions::max_scans
-/// @throws errors of load_sequence()
+/// @throws errors of load_log()
 Log load_log(const Config& config, const Progress& progress = {}, int max_scans = 0);
 
 /// Loads a run folder.

@@ -5,14 +5,14 @@
 
 #include <relidar/diff/backward.hpp>
 #include <relidar/diff/traversal.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/run/config.hpp>
 
 namespace relidar {
 
 /// Returns the settings with a maximum range. If dataset.max_range_m is 0, it becomes the
 /// largest range limit of the log's LiDARs.
-Config with_max_range(Config config, const Log& sequence);
+Config with_max_range(Config config, const Log& log);
 /// Returns the options for ray tracing that training and simulation have in common.
 TraceOptions common_options(const Config& config);
 /// Returns the options for ray tracing during training, with the values that only losses

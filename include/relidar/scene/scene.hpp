@@ -19,7 +19,7 @@
 #include <relidar/base/math.hpp>
 #include <relidar/base/process_group.hpp>
 #include <relidar/base/progress.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/scene/box_surface.hpp>
 
 namespace relidar {
@@ -181,7 +181,7 @@ std::size_t count_surfels(const Scene& scene);
 /// scans of the log are not used.
 struct SceneWithLog {
     Scene scene;
-    Log sequence;
+    Log log;
 };
 
 /// @throws DataError unless the models are consecutive ranges that contain all surfels,

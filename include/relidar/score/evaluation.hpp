@@ -76,7 +76,7 @@ struct MovingBoxPoints {
 /// @param sweep  the sweep of both images
 /// @param box  a box that is present at the time of the sweep
 MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
-                              const RangeImage& real, const Log& sequence, const SweepTiming& sweep,
+                              const RangeImage& real, const Log& log, const SweepTiming& sweep,
                               const BoxTrack& box);
 
 /// Called with the images of a frame after its metrics were computed. It may add metrics.
@@ -104,7 +104,7 @@ std::optional<int> find_repeat(const Log& log, int frame_index);
 /// Copies scans of a log into frames of a run that was trained on it. Also copies the
 /// scan after a frame if the sensor stands still, because it is scored as a repetition.
 /// The poses of the run do not change.
-/// @param frame_indices  indices into Run::sequence of the frames
+/// @param frame_indices  indices into Run::log of the frames
 /// @throws DataError if a frame is missing in the log, or has another time in the log
 void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log);
 
@@ -116,10 +116,10 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log&
                         const Pose& offset = {});
 
 /// Renders frames and computes their metrics. Memory use does not grow with their number.
-/// @param frame_indices  indices of the frames in `sequence`
+/// @param frame_indices  indices of the frames in `log`
 /// @param progress  called before each frame and after the last one
 /// @throws DataError if a file with LPIPS weights is set and cannot be read
-Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Log& sequence,
+Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Log& log,
                            const std::vector<int>& frame_indices, const Progress& progress = {},
                            const ScoredFrameCallback& on_frame = {});
 
@@ -138,7 +138,7 @@ BoxPointMotion parse_baseline(const std::string& baseline_name);
 /// Scores a baseline on the held-out frames of a log with its scans.
 /// @param progress  called before each frame and after the last one
 /// @throws UsageError for another name
-Evaluation evaluate_baseline(const std::string& baseline_name, const Config& config, const Log& sequence,
+Evaluation evaluate_baseline(const std::string& baseline_name, const Config& config, const Log& log,
                              const Split& split, const Progress& progress = {},
                              const ScoredFrameCallback& on_frame = {});
 

@@ -111,7 +111,7 @@ std::vector<bool> mask_edges(const RangeImage& real);
 /// @return [n] rays
 std::vector<bool> mask_labelled_movers(const Log& log, const Frame& frame, const Pose& sensor_offset = {});
 /// Returns the same for moving boxes that relidar has found in the scans.
-std::vector<bool> mask_found_movers(const Log& sequence, const Frame& frame, const Pose& sensor_offset = {});
+std::vector<bool> mask_found_movers(const Log& log, const Frame& frame, const Pose& sensor_offset = {});
 
 /// Scores the points that are written to point cloud files, whose ranges can differ from
 /// those of the image: strict/depth_*, strict/cd_* and strict/f_* of evaluate(), with

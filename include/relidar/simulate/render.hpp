@@ -14,10 +14,10 @@
 #include <relidar/log/channels.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/log/own_vehicle.hpp>
 #include <relidar/log/range_image.hpp>
 #include <relidar/log/scatter.hpp>
-#include <relidar/log/sequence.hpp>
 #include <relidar/read/points.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/scene/scene.hpp>

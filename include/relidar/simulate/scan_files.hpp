@@ -17,9 +17,9 @@
 #include <relidar/base/images.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/log/channels.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/log/own_vehicle.hpp>
 #include <relidar/log/sensor.hpp>
-#include <relidar/log/sequence.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/simulate/weather.hpp>
 

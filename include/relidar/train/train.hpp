@@ -17,8 +17,8 @@
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/log/scatter.hpp>
-#include <relidar/log/sequence.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/scene/scene.hpp>
 
@@ -135,7 +135,7 @@ void prepare_log(Log& log, const Split& split, const Config& config, LogPreparat
 /// @throws DataError if there is no training frame, if a loss is not finite (naming
 /// iteration, frame and term), or if a parameter is not finite (naming array and row)
 /// @throws DeviceError if the device fails
-TrainResult train(Device& device, const Log& sequence, const Split& split, const Config& config,
+TrainResult train(Device& device, const Log& log, const Split& split, const Config& config,
                   const TrainProgressCallback& progress = {}, const TrainSession& session = {});
 
 /// Rays of a frame in the scene's frame, and their measurements, [n].
@@ -146,7 +146,7 @@ struct TrainingRays {
     std::vector<shared::DeviceTarget> targets;
 };
 /// Computes what train() uses of a scan, with the poses, beams and actors of a run.
-/// @param frame  a frame of Run::sequence, with its scan
+/// @param frame  a frame of Run::log, with its scan
 TrainingRays make_training_rays(const Run& run, const Frame& frame);
 
 struct ScanCallbacks {
@@ -163,7 +163,7 @@ struct HeldOutPoseReport {
 
 /// Registers the points of each held-out scan to the trained scene, because training has
 /// corrected the neighbouring poses only. LiDARs that sweep at the same time are
-/// registered together. The run's sequence must contain the scans.
+/// registered together. The run's log must contain the scans.
 /// Does nothing if the settings do not register the sensor (train.refine_poses), or for
 /// 3D Gaussians, which have no normals. Sets Run::held_out_placed. If it was
 /// stopped, no pose changes.
@@ -190,7 +190,7 @@ struct RayDropTrainingSession {
 inline constexpr const char* kRefineCheckpoints = "drop_network";
 
 /// Trains a ray-drop network with the options config.refine on the training frames of a
-/// run, whose sequence must contain the scans. The frames are rendered with the nominal
+/// run, whose log must contain the scans. The frames are rendered with the nominal
 /// rays of the sensor, because the measured rays of a scan reveal which rays returned. A
 /// resumed training gives the same network, bit by bit, on the same device.
 /// @return empty network if stopped
@@ -200,7 +200,7 @@ inline constexpr const char* kRefineCheckpoints = "drop_network";
 RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTrainingSession& session = {});
 
 /// Checks that the training of a ray-drop network can resume with this run, whose
-/// sequence must contain the scans of its training frames. Scene, log and the relevant
+/// log must contain the scans of its training frames. Scene, log and the relevant
 /// settings (refine.*, image.*, sensor.*, init.*, render.range, train.seed) must match
 /// the checkpoint.
 /// @throws UsageError naming a setting that differs
@@ -211,7 +211,7 @@ void check_drop_resume(const Checkpoint& checkpoint, const Run& run);
 void read_drop_settings(const Checkpoint& checkpoint, Config& config);
 
 /// Models the measured intensities, given the rendered intensities of some training
-/// frames. Run::sequence must contain the measured scans of these frames.
+/// frames. Run::log must contain the measured scans of these frames.
 /// @return [lidars] models. A model is empty if its LiDAR has too few returns. The vector
 /// is empty if ScanCallbacks::stop has stopped the fit
 std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
@@ -231,7 +231,7 @@ struct ActorTrainingCallbacks {
 /// unchanged, because the training of a block uses only the surroundings of its own
 /// sweeps. Each training frame that shows an actor is used blocks.actor_epochs times,
 /// with the rays near its box and the background surfels along these rays. The run's
-/// sequence must contain the scans. The run is unchanged if the training was stopped.
+/// log must contain the scans. The run is unchanged if the training was stopped.
 /// @throws DataError if a block cannot be read or a loss is not finite
 TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCallbacks& session = {});
 

@@ -42,7 +42,7 @@ struct SurfelAllocation {
 
 /// Purpose of random numbers, a part of their seed, so that the numbers for different
 /// purposes are independent. Kernels classify and spawn use different numbers of the
-/// sequence that each surfel has.
+/// log that each surfel has.
 enum class RandomPurpose : std::uint64_t { surfels = 1, growth = 2 };
 
 // Opacity of a surfel after an opacity reset, divided by alpha_min (the lowest opacity

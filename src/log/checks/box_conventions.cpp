@@ -77,13 +77,13 @@ Pose mirror_pose(const Pose& world_from_box, const Pose& world_from_frame) {
 }
 
 /// Returns the pose that a box has at a time if its stored pose has this fault.
-Pose correct_box(const Log& sequence, const BoxTrack& box, double time_s, std::size_t fault) {
+Pose correct_box(const Log& log, const BoxTrack& box, double time_s, std::size_t fault) {
     const Pose world_from_box = box.world_from_box.pose_at(time_s);
     if (fault == kBottomPosition) return world_from_box * Pose{{1, 0, 0, 0}, {0.0, 0.0, 0.5 * box.size_m.z}};
     if (fault == kTurned) return world_from_box * Pose{make_rotation(0.5 * kPi, 0.0, 0.0), {}};
     if (fault == kMirroredInVehicle)
-        return mirror_pose(world_from_box, sequence.world_from_vehicle.pose_at(time_s));
-    return mirror_pose(world_from_box, {{1, 0, 0, 0}, -sequence.world_offset_m});
+        return mirror_pose(world_from_box, log.world_from_vehicle.pose_at(time_s));
+    return mirror_pose(world_from_box, {{1, 0, 0, 0}, -log.world_offset_m});
 }
 
 /// Points of a scan in the old and the corrected pose of a box.
@@ -125,32 +125,30 @@ std::vector<glm::dvec3> choose_points_m(const Scan& scan) {
     return points_m;
 }
 
-Pose sensor_from_world_at(const Log& sequence, const Frame& frame, double time_s) {
-    return inverse(
-        sequence.world_from_vehicle.mounted_pose_at(time_s, sequence.lidar_of(frame).vehicle_from_sensor));
+Pose sensor_from_world_at(const Log& log, const Frame& frame, double time_s) {
+    return inverse(log.world_from_vehicle.mounted_pose_at(time_s, log.lidar_of(frame).vehicle_from_sensor));
 }
 
 /// Returns the time at which the sensor faces a box during the sweep of a frame. This
 /// time and the position of the box depend on each other, so it iterates.
-double find_facing_time_s(const Log& sequence, const Frame& frame, const BoxTrack& box) {
+double find_facing_time_s(const Log& log, const Frame& frame, const BoxTrack& box) {
     double time_s = frame.time_s;
     for (int round = 0; round < 2; ++round) {
         const glm::dvec3 centre_m = box.world_from_box.pose_at(time_s).translation;
-        time_s = facing_time_s(sequence, sensor_from_world_at(sequence, frame, time_s) * centre_m,
-                               timing_of(frame));
+        time_s = facing_time_s(log, sensor_from_world_at(log, frame, time_s) * centre_m, timing_of(frame));
     }
     return time_s;
 }
 
 /// Counts the points of a scan that a box gains and loses by the correction of a fault.
 /// Points that show nothing about this fault do not count.
-PointCounts count_evidence(const Log& sequence, const BoxTrack& box, double time_s, BoxFault fault,
+PointCounts count_evidence(const Log& log, const BoxTrack& box, double time_s, BoxFault fault,
                            const std::vector<glm::dvec3>& points_m, const Pose& world_from_sensor) {
     // A box whose position is its bottom side has the ground at height 0. To lose points
     // of the ground shows nothing.
     const double highest_lost_m = fault == kBottomPosition ? -0.5 * kGroundHeight_m : INFINITY;
     const Pose world_from_box = box.world_from_box.pose_at(time_s),
-               world_from_corrected = correct_box(sequence, box, time_s, fault);
+               world_from_corrected = correct_box(log, box, time_s, fault);
     PointCounts counts =
         count_points(points_m, inverse(world_from_box) * world_from_sensor,
                      inverse(world_from_corrected) * world_from_sensor, 0.5 * box.size_m, highest_lost_m);
@@ -164,17 +162,17 @@ PointCounts count_evidence(const Log& sequence, const BoxTrack& box, double time
 
 /// Adds the points that the boxes of a frame gain and lose by the correction of each
 /// fault. The corrections are tried one at a time.
-void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains) {
+void add_frame_gains(const Log& log, const Frame& frame, PointGains& gains) {
     const std::vector<glm::dvec3> points_m = choose_points_m(frame.scan);
-    for (const BoxTrack& box : sequence.boxes) {
+    for (const BoxTrack& box : log.boxes) {
         if (!box.is_observed(frame.time_s)) continue;
-        const double time_s = find_facing_time_s(sequence, frame, box);
-        const Pose world_from_sensor = inverse(sensor_from_world_at(sequence, frame, time_s));
+        const double time_s = find_facing_time_s(log, frame, box);
+        const Pose world_from_sensor = inverse(sensor_from_world_at(log, frame, time_s));
         for (std::size_t fault = 0; fault < kFaultCount; ++fault) {
             // Turning a box shows nothing unless the box is elongated.
             if (fault == kTurned && !is_elongated(box.size_m)) continue;
             const PointCounts counts =
-                count_evidence(sequence, box, time_s, BoxFault(fault), points_m, world_from_sensor);
+                count_evidence(log, box, time_s, BoxFault(fault), points_m, world_from_sensor);
             gains[fault].add_view(counts.gained, counts.lost);
         }
     }
@@ -182,17 +180,17 @@ void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains)
 
 /// Counts for each possible fault the points that the boxes gain and lose if it is
 /// corrected. Uses at most kMaxFrames frames, which are spread over the log.
-PointGains compare_boxes(const Log& sequence) {
+PointGains compare_boxes(const Log& log) {
     std::vector<const Frame*> frames;  // with returns and with boxes
-    for (const Frame& frame : sequence.frames)
-        if (frame.scan.count_returns() > 0 && std::ranges::any_of(sequence.boxes, [&](const BoxTrack& box) {
+    for (const Frame& frame : log.frames)
+        if (frame.scan.count_returns() > 0 && std::ranges::any_of(log.boxes, [&](const BoxTrack& box) {
                 return box.is_observed(frame.time_s);
             }))
             frames.push_back(&frame);
     const std::size_t n = std::min(kMaxFrames, frames.size());
     std::vector<PointGains> by_frame(n);
     parallel_for(int(n), [&](int k) {
-        add_frame_gains(sequence, *frames[std::size_t(k) * frames.size() / n], by_frame[std::size_t(k)]);
+        add_frame_gains(log, *frames[std::size_t(k) * frames.size() / n], by_frame[std::size_t(k)]);
     });
     PointGains sum{};
     for (const PointGains& gains : by_frame)
@@ -213,7 +211,7 @@ bool are_sizes_swapped(const std::vector<BoxTrack>& boxes) {
 }
 
 /// True if a box contains a LiDAR or the origin of the vehicle.
-bool is_around_vehicle(const Log& sequence, const glm::dvec3& box_size_m, const Pose& world_from_vehicle,
+bool is_around_vehicle(const Log& log, const glm::dvec3& box_size_m, const Pose& world_from_vehicle,
                        const Pose& world_from_box) {
     // A LiDAR on the roof may be above the box. More height below does not matter.
     const glm::dvec3 half_m = 0.5 * box_size_m + glm::dvec3(0, 0, kAboveVehicle_m);
@@ -224,21 +222,21 @@ bool is_around_vehicle(const Log& sequence, const glm::dvec3& box_size_m, const 
     };
     const Pose vehicle_origin{};
     return is_inside(vehicle_origin) ||
-           std::ranges::any_of(sequence.lidars, is_inside, &Lidar::vehicle_from_sensor);
+           std::ranges::any_of(log.lidars, is_inside, &Lidar::vehicle_from_sensor);
 }
 
 }  // namespace
 
-void remove_ego_boxes(Log& sequence) {
+void remove_ego_boxes(Log& log) {
     std::vector<std::string> removed_boxes;
-    std::erase_if(sequence.boxes, [&](const BoxTrack& box) {
+    std::erase_if(log.boxes, [&](const BoxTrack& box) {
         const PoseTrack& track = box.world_from_box;
         std::size_t n_around = 0, n_poses = 0;
         for (std::size_t k = 0; k < track.pose.size(); ++k) {
-            if (!sequence.world_from_vehicle.contains_time(track.time_s[k])) continue;
+            if (!log.world_from_vehicle.contains_time(track.time_s[k])) continue;
             ++n_poses;
-            const Pose world_from_vehicle = sequence.world_from_vehicle.pose_at(track.time_s[k]);
-            if (is_around_vehicle(sequence, box.size_m, world_from_vehicle, track.pose[k])) ++n_around;
+            const Pose world_from_vehicle = log.world_from_vehicle.pose_at(track.time_s[k]);
+            if (is_around_vehicle(log, box.size_m, world_from_vehicle, track.pose[k])) ++n_around;
         }
         // Removes a box only if it contains the vehicle at most of the times.
         const bool is_vehicle = n_around > 0 && double(n_around) >= kShareAroundVehicle * double(n_poses) &&
@@ -249,13 +247,13 @@ void remove_ego_boxes(Log& sequence) {
         return is_vehicle;
     });
     if (!removed_boxes.empty())
-        sequence.notes.push_back(
+        log.notes.push_back(
             fmt::format("boxes around the sensor are left out, because they are probably the vehicle: {}",
                         fmt::join(removed_boxes, ", ")));
 }
 
-std::string describe_fault(const Log& sequence) {
-    const PointGains gains = compare_boxes(sequence);
+std::string describe_fault(const Log& log) {
+    const PointGains gains = compare_boxes(log);
     // Points gained minus lost if all boxes had this fault; 0 if too few points show it.
     const auto net_gain = [&](std::size_t fault) {
         return gains[fault].is_clear() ? std::ptrdiff_t(gains[fault].gained - gains[fault].lost) : 0;
@@ -268,8 +266,8 @@ std::string describe_fault(const Log& sequence) {
     std::array<const char*, kFaultCount> descriptions;
     descriptions[kBottomPosition] =
         "the positions seem to be the centres of the bottom sides, expected the centres of the boxes";
-    descriptions[kTurned] = are_sizes_swapped(sequence.boxes) ? "length and width seem to be swapped"
-                                                              : "the yaw seems to be turned by 90 degrees";
+    descriptions[kTurned] = are_sizes_swapped(log.boxes) ? "length and width seem to be swapped"
+                                                         : "the yaw seems to be turned by 90 degrees";
     descriptions[kMirroredInWorld] =
         "y and yaw seem to have the opposite sign in the world, as in left-handed coordinates (CARLA)";
     descriptions[kMirroredInVehicle] =

@@ -27,25 +27,25 @@ constexpr double kMaxBoxDistance_m = 1e5;
 constexpr double kMaxOrigin_m = 1000.0;  // distance between the origin of a ray and the sensor
 constexpr double kMaxDivergence_rad = 6.3;
 
-void test_frames(const CheckedLog& log, const FaultReport& report) {
-    if (log.sequence.frames.empty()) report.add();
+void test_frames(const CheckedLog& checked, const FaultReport& report) {
+    if (checked.log.frames.empty()) report.add();
 }
 
-void test_lidar_names(const CheckedLog& log, const FaultReport& report) {
+void test_lidar_names(const CheckedLog& checked, const FaultReport& report) {
     std::set<std::string> names;
-    for (const Lidar& lidar : log.sequence.lidars)
+    for (const Lidar& lidar : checked.log.lidars)
         if (!names.insert(lidar.name).second) report.add(lidar.name);
 }
 
-void test_frame_numbers(const CheckedLog& log, const FaultReport& report) {
+void test_frame_numbers(const CheckedLog& checked, const FaultReport& report) {
     std::set<std::pair<int, int>> numbers;
-    for (const Frame& frame : log.sequence.frames)
+    for (const Frame& frame : checked.log.frames)
         if (!numbers.insert({frame.lidar, frame.index}).second) report.add(frame.index);
 }
 
-void test_frame_times(const CheckedLog& log, const FaultReport& report) {
-    for (std::size_t i = 1; i < log.sequence.frames.size(); ++i) {
-        const Frame &before = log.sequence.frames[i - 1], &frame = log.sequence.frames[i];
+void test_frame_times(const CheckedLog& checked, const FaultReport& report) {
+    for (std::size_t i = 1; i < checked.log.frames.size(); ++i) {
+        const Frame &before = checked.log.frames[i - 1], &frame = checked.log.frames[i];
         const double step_s = frame.time_s - before.time_s;
         if (!(step_s >= kMinStep_s) && !(step_s == 0.0 && frame.lidar > before.lidar))
             report.add(frame.index, frame.time_s, before.index, before.time_s, kMinStep_s);
@@ -53,7 +53,7 @@ void test_frame_times(const CheckedLog& log, const FaultReport& report) {
 }
 
 /// Tests all poses: the LiDAR mountings, the vehicle and the boxes.
-void test_poses(const CheckedLog& log, const FaultReport& report) {
+void test_poses(const CheckedLog& checked, const FaultReport& report) {
     const auto test_pose = [&](const std::string& name, const Pose& pose) {
         const auto& [q, t] = pose;
         // NaN fails this comparison.
@@ -64,16 +64,16 @@ void test_poses(const CheckedLog& log, const FaultReport& report) {
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             test_pose(fmt::format("{}, pose {}", name, k), track.pose[k]);
     };
-    for (const Lidar& lidar : log.sequence.lidars)
+    for (const Lidar& lidar : checked.log.lidars)
         test_pose(fmt::format("LiDAR '{}', vehicle_from_sensor", lidar.name), lidar.vehicle_from_sensor);
-    test_track("the vehicle", log.sequence.world_from_vehicle);
-    for (const BoxTrack& box : log.sequence.boxes)
+    test_track("the vehicle", checked.log.world_from_vehicle);
+    for (const BoxTrack& box : checked.log.boxes)
         test_track(fmt::format("box '{}'", box.id), box.world_from_box);
 }
 
 /// Tests that arrays of a scan have an entry per ray or, if optional, are empty.
-void test_array_sizes(const CheckedLog& log, const FaultReport& report) {
-    for (const Frame& frame : log.sequence.frames) {
+void test_array_sizes(const CheckedLog& checked, const FaultReport& report) {
+    for (const Frame& frame : checked.log.frames) {
         const Scan& scan = frame.scan;
         const RayTable& rays = scan.rays;
         const auto test_size = [&](const char* field, std::size_t size) {
@@ -122,24 +122,24 @@ void test_ray(const Frame& frame, std::size_t ray, std::size_t n_beams, const Fa
     }
 }
 
-void test_rays(const CheckedLog& log, const FaultReport& report) {
-    parallel_for(int(log.sequence.frames.size()), [&](int index) {
-        const Frame& frame = log.sequence.frames[std::size_t(index)];
-        const std::size_t n_beams = log.sequence.lidar_of(frame).sensor.beams.size();
+void test_rays(const CheckedLog& checked, const FaultReport& report) {
+    parallel_for(int(checked.log.frames.size()), [&](int index) {
+        const Frame& frame = checked.log.frames[std::size_t(index)];
+        const std::size_t n_beams = checked.log.lidar_of(frame).sensor.beams.size();
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             test_ray(frame, ray, n_beams, report);
     });
 }
 
-void test_box_sizes(const CheckedLog& log, const FaultReport& report) {
-    for (const BoxTrack& box : log.sequence.boxes)
+void test_box_sizes(const CheckedLog& checked, const FaultReport& report) {
+    for (const BoxTrack& box : checked.log.boxes)
         if (const glm::dvec3 size_m = box.size_m;
             !(size_m.x > 0.0 && size_m.y > 0.0 && size_m.z > 0.0 && glm::length(size_m) < INFINITY))
             report.add(box.id, size_m.x, size_m.y, size_m.z);
 }
 
-void test_box_times(const CheckedLog& log, const FaultReport& report) {
-    for (const BoxTrack& box : log.sequence.boxes) {
+void test_box_times(const CheckedLog& checked, const FaultReport& report) {
+    for (const BoxTrack& box : checked.log.boxes) {
         const std::vector<double>& time_s = box.world_from_box.time_s;
         for (std::size_t k = 1; k < time_s.size(); ++k)
             if (!(time_s[k] > time_s[k - 1])) report.add(box.id, k, time_s[k], time_s[k - 1]);
@@ -147,9 +147,9 @@ void test_box_times(const CheckedLog& log, const FaultReport& report) {
 }
 
 /// Reports boxes that are too far from the vehicle, probably in map coordinates.
-void test_box_places(const CheckedLog& log, const FaultReport& report) {
-    const PoseTrack& vehicle = log.sequence.world_from_vehicle;
-    for (const BoxTrack& box : log.sequence.boxes) {
+void test_box_places(const CheckedLog& checked, const FaultReport& report) {
+    const PoseTrack& vehicle = checked.log.world_from_vehicle;
+    for (const BoxTrack& box : checked.log.boxes) {
         const PoseTrack& track = box.world_from_box;
         for (std::size_t k = 0; k < track.pose.size(); ++k) {
             if (!vehicle.contains_time(track.time_s[k])) continue;
@@ -230,23 +230,23 @@ constexpr Check kChecks[] = {
 
 }  // namespace
 
-void note_faults(Log& sequence) {
-    CheckedLog log{sequence, std::vector<ReturnStatistics>(sequence.frames.size())};
-    parallel_for(int(log.scans.size()), [&](int index) {
-        log.scans[std::size_t(index)] = count_returns(sequence.frames[std::size_t(index)].scan);
+void note_faults(Log& log) {
+    CheckedLog checked{log, std::vector<ReturnStatistics>(log.frames.size())};
+    parallel_for(int(checked.scans.size()), [&](int index) {
+        checked.scans[std::size_t(index)] = count_returns(log.frames[std::size_t(index)].scan);
     });
     for (const Check& check : kChecks)
-        if (!check.is_error) check.test(log, {check, sequence, sequence.notes});
+        if (!check.is_error) check.test(checked, {check, log, log.notes});
 }
 
 }  // namespace relidar::checks
 
 namespace relidar {
 
-void check_sequence(const Log& sequence) {
+void check_log(const Log& log) {
     Notes none;
     for (const checks::Check& check : checks::kChecks)
-        if (check.is_error) check.test({sequence}, {check, sequence, none});
+        if (check.is_error) check.test({log}, {check, log, none});
 }
 
 }  // namespace relidar

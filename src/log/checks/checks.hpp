@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "base/fail.hpp"
 
@@ -27,13 +27,13 @@ struct ReturnStatistics {
 
 /// A log, and the statistics of its scans, which all tests share.
 struct CheckedLog {
-    const Log& sequence;
+    const Log& log;
     std::vector<ReturnStatistics> scans = {};  ///< [frames] empty for checks of errors
 };
 
 class FaultReport;
 /// Reports each place where a log has a fault.
-using Test = void(const CheckedLog& log, const FaultReport& report);
+using Test = void(const CheckedLog& checked, const FaultReport& report);
 
 /// A fault that a log can have.
 struct Check {
@@ -46,8 +46,7 @@ struct Check {
 /// Makes the message of a fault from the text of its check.
 class FaultReport {
 public:
-    FaultReport(const Check& check, const Log& sequence, Notes& notes)
-        : check_(check), sequence_(sequence), notes_(notes) {}
+    FaultReport(const Check& check, const Log& log, Notes& notes) : check_(check), log_(log), notes_(notes) {}
 
     /// Adds a note about the log, or throws DataError if the fault is an error.
     template <class... Values>
@@ -58,14 +57,14 @@ public:
     template <class... Values>
     void add_for(int lidar, const Values&... values) const {
         std::string text = fmt::format(fmt::runtime(check_.text), values...);
-        if (check_.is_error) fail("{}: {}", sequence_.name, text);
-        const std::string name = lidar < 0 ? "" : sequence_.lidars[std::size_t(lidar)].name;
+        if (check_.is_error) fail("{}: {}", log_.name, text);
+        const std::string name = lidar < 0 ? "" : log_.lidars[std::size_t(lidar)].name;
         notes_.push_back({check_.id, lidar, (name.empty() ? "" : "LiDAR '" + name + "': ") + text});
     }
 
 private:
     const Check& check_;
-    const Log& sequence_;
+    const Log& log_;
     Notes& notes_;
 };
 
@@ -74,14 +73,14 @@ Test test_clock_jump, test_time_gaps, test_time_unit, test_speed, test_float_pos
 
 /// Removes boxes around a LiDAR or the vehicle's origin, with a note. Trackers and
 /// simulators label the recording vehicle itself.
-void remove_ego_boxes(Log& sequence);
+void remove_ego_boxes(Log& log);
 
 /// Returns the probable fault of the boxes, or an empty text. Compares the points in the
 /// boxes with the points in boxes of other conventions.
-std::string describe_fault(const Log& sequence);
+std::string describe_fault(const Log& log);
 
 /// Adds a note for each fault that a log probably has, such as wrong units or incomplete
-/// scans. check_sequence() throws if a fault makes the log unusable.
-void note_faults(Log& sequence);
+/// scans. check_log() throws if a fault makes the log unusable.
+void note_faults(Log& log);
 
 }  // namespace relidar::checks

@@ -12,7 +12,7 @@
 
 #include "base/median.hpp"
 #include "log/checks/checks.hpp"
-#include "log/sequence/match_sweeps.hpp"
+#include "log/frames/match_sweeps.hpp"
 
 namespace relidar::checks {
 namespace {
@@ -51,11 +51,11 @@ struct TimeGaps {
 };
 
 /// Finds the steps between frames that are much longer than the median step.
-TimeGaps find_time_gaps(const Log& sequence) {
+TimeGaps find_time_gaps(const Log& log) {
     std::vector<double> steps_s;
     TimeGaps gaps;
-    for (std::size_t i = 1; i < sequence.frames.size(); ++i) {
-        const Frame &before = sequence.frames[i - 1], &after = sequence.frames[i];
+    for (std::size_t i = 1; i < log.frames.size(); ++i) {
+        const Frame &before = log.frames[i - 1], &after = log.frames[i];
         const double step_s = after.time_s - before.time_s;
         if (step_s > 0.0) steps_s.push_back(step_s);
         if (step_s > gaps.longest_s)
@@ -72,10 +72,10 @@ TimeGaps find_time_gaps(const Log& sequence) {
 
 /// Returns the duration of a sweep: the period of a LiDAR, or else the time between the
 /// first and the last ray of a scan, or else kUsualSweep_s.
-double find_sweep_s(const Log& sequence) {
-    for (const Lidar& lidar : sequence.lidars)
+double find_sweep_s(const Log& log) {
+    for (const Lidar& lidar : log.lidars)
         if (lidar.sweep_period_s() > 0.0) return lidar.sweep_period_s();
-    for (const Frame& frame : sequence.frames) {
+    for (const Frame& frame : log.frames) {
         if (frame.scan.rays.size() == 0) continue;
         const auto [first_s, last_s] = std::ranges::minmax(frame.scan.rays.time_offset_s);
         if (last_s > first_s) return double(last_s) - double(first_s);
@@ -83,21 +83,21 @@ double find_sweep_s(const Log& sequence) {
     return kUsualSweep_s;
 }
 
-int find_frame_number(const Log& sequence, double time_s) {
-    const auto frame = std::ranges::lower_bound(sequence.frames, time_s, {}, &Frame::time_s);
-    return frame == sequence.frames.end() ? sequence.frames.back().index : frame->index;
+int find_frame_number(const Log& log, double time_s) {
+    const auto frame = std::ranges::lower_bound(log.frames, time_s, {}, &Frame::time_s);
+    return frame == log.frames.end() ? log.frames.back().index : frame->index;
 }
 
 /// Returns the statistics of all scans of a LiDAR. -1: of all LiDARs
-ReturnStatistics add_scans(const CheckedLog& log, int lidar) {
+ReturnStatistics add_scans(const CheckedLog& checked, int lidar) {
     ReturnStatistics sum;
-    for (std::size_t i = 0; i < log.scans.size(); ++i)
-        if (lidar < 0 || log.sequence.frames[i].lidar == lidar) sum.add(log.scans[i]);
+    for (std::size_t i = 0; i < checked.scans.size(); ++i)
+        if (lidar < 0 || checked.log.frames[i].lidar == lidar) sum.add(checked.scans[i]);
     return sum;
 }
 
-bool are_intensities_equal(const CheckedLog& log) {
-    const ReturnStatistics all = add_scans(log, -1);
+bool are_intensities_equal(const CheckedLog& checked) {
+    const ReturnStatistics all = add_scans(checked, -1);
     return all.n_returns > 0 && all.lowest == all.highest;
 }
 
@@ -134,23 +134,23 @@ RotationFit measure_rotation(const Scan& scan, const SpinningSensor& sensor, std
 
 }  // namespace
 
-void test_clock_jump(const CheckedLog& log, const FaultReport& report) {
-    if (const TimeGaps gaps = find_time_gaps(log.sequence); gaps.n > 0 && gaps.longest_s > kMaxGap_s)
+void test_clock_jump(const CheckedLog& checked, const FaultReport& report) {
+    if (const TimeGaps gaps = find_time_gaps(checked.log); gaps.n > 0 && gaps.longest_s > kMaxGap_s)
         report.add(gaps.after, gaps.longest_s, gaps.before, kMaxGap_s, gaps.usual_s);
 }
 
-void test_time_gaps(const CheckedLog& log, const FaultReport& report) {
-    if (const TimeGaps gaps = find_time_gaps(log.sequence); gaps.n > 0)
+void test_time_gaps(const CheckedLog& checked, const FaultReport& report) {
+    if (const TimeGaps gaps = find_time_gaps(checked.log); gaps.n > 0)
         report.add(gaps.n, gaps.longest_s, gaps.before, gaps.after, gaps.usual_s);
 }
 
 /// Reports times that are probably not in seconds. Milliseconds that are read as seconds,
 /// for example, put frames 1000 times too far apart. Reports the first unit in which the
 /// median step between frames is about the duration of a sweep.
-void test_time_unit(const CheckedLog& log, const FaultReport& report) {
-    const std::vector<double>& times_s = log.sequence.world_from_vehicle.time_s;
+void test_time_unit(const CheckedLog& checked, const FaultReport& report) {
+    const std::vector<double>& times_s = checked.log.world_from_vehicle.time_s;
     if (times_s.size() < 2) return;
-    const double step_s = median_interval_s(times_s), sweep_s = find_sweep_s(log.sequence);
+    const double step_s = median_interval_s(times_s), sweep_s = find_sweep_s(checked.log);
     double units_per_second = 1.0;
     for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
         units_per_second *= 1000.0;
@@ -169,9 +169,9 @@ void test_time_unit(const CheckedLog& log, const FaultReport& report) {
 
 /// Reports steps of the vehicle that are too fast, and the frames of the fastest one.
 /// Short steps do not count, because noise dominates their speed.
-void test_speed(const CheckedLog& log, const FaultReport& report) {
-    const auto& [time_s, pose] = log.sequence.world_from_vehicle;
-    if (!log.sequence.has_poses) return;
+void test_speed(const CheckedLog& checked, const FaultReport& report) {
+    const auto& [time_s, pose] = checked.log.world_from_vehicle;
+    if (!checked.log.has_poses) return;
     std::size_t n_too_fast = 0, fastest = 0;
     double fastest_mps = 0.0;
     for (std::size_t k = 1; k < pose.size(); ++k) {
@@ -185,20 +185,20 @@ void test_speed(const CheckedLog& log, const FaultReport& report) {
     }
     if (n_too_fast > 0)
         report.add(kMaxSpeed_mps, n_too_fast, pose.size() - 1, fastest_mps,
-                   find_frame_number(log.sequence, time_s[fastest - 1]),
-                   find_frame_number(log.sequence, time_s[fastest]));
+                   find_frame_number(checked.log, time_s[fastest - 1]),
+                   find_frame_number(checked.log, time_s[fastest]));
 }
 
 /// Reports x or y coordinates that were rounded to single precision. Each is then a
 /// multiple of the distance between neighbouring floats of its size. Few different
 /// coordinates show nothing. Reports the step of the last and the largest coordinate.
-void test_float_positions(const CheckedLog& log, const FaultReport& report) {
-    for (int axis = 0; axis < 2 && log.sequence.has_poses; ++axis) {
+void test_float_positions(const CheckedLog& checked, const FaultReport& report) {
+    for (int axis = 0; axis < 2 && checked.log.has_poses; ++axis) {
         std::set<double> coordinates_m;  // rounded to multiples, without duplicates
         double step_m = 0.0;
         bool is_rounded = true;
-        for (const Pose& pose : log.sequence.world_from_vehicle.pose) {
-            const double value_m = pose.translation[axis] + log.sequence.world_offset_m[axis];
+        for (const Pose& pose : checked.log.world_from_vehicle.pose) {
+            const double value_m = pose.translation[axis] + checked.log.world_offset_m[axis];
             step_m = float_step_m(value_m);
             const double n_steps = value_m / step_m;
             is_rounded = is_rounded && step_m > kMinFloatStep_m &&
@@ -212,14 +212,14 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
 
 /// Reports the number of scans of each LiDAR with far fewer returns than the median of
 /// their neighbours, and the scan with the fewest returns.
-void test_few_returns(const CheckedLog& log, const FaultReport& report) {
-    for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
+void test_few_returns(const CheckedLog& checked, const FaultReport& report) {
+    for (std::size_t l = 0; l < checked.log.lidars.size(); ++l) {
         std::vector<const Frame*> frames;    // of this LiDAR
         std::vector<std::size_t> n_returns;  // [frames]
-        for (std::size_t i = 0; i < log.scans.size(); ++i) {
-            if (log.sequence.frames[i].lidar != int(l)) continue;
-            frames.push_back(&log.sequence.frames[i]);
-            n_returns.push_back(log.scans[i].n_returns);
+        for (std::size_t i = 0; i < checked.scans.size(); ++i) {
+            if (checked.log.frames[i].lidar != int(l)) continue;
+            frames.push_back(&checked.log.frames[i]);
+            n_returns.push_back(checked.scans[i].n_returns);
         }
         // A program may have read only some scans, so that they have no neighbours.
         if (std::ranges::any_of(frames, [](const Frame* f) { return f->scan.rays.rows == 0; })) continue;
@@ -235,19 +235,19 @@ void test_few_returns(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
-void test_equal_intensities(const CheckedLog& log, const FaultReport& report) {
-    if (are_intensities_equal(log)) report.add(add_scans(log, -1).highest);
+void test_equal_intensities(const CheckedLog& checked, const FaultReport& report) {
+    if (are_intensities_equal(checked)) report.add(add_scans(checked, -1).highest);
 }
 
-void test_dark(const CheckedLog& log, const FaultReport& report) {
-    for (int l = 0; l < std::ssize(log.sequence.lidars) && !are_intensities_equal(log); ++l)
-        if (const float highest = add_scans(log, l).highest; highest >= 0.0f && highest < kMinBrightest)
+void test_dark(const CheckedLog& checked, const FaultReport& report) {
+    for (int l = 0; l < std::ssize(checked.log.lidars) && !are_intensities_equal(checked); ++l)
+        if (const float highest = add_scans(checked, l).highest; highest >= 0.0f && highest < kMinBrightest)
             report.add_for(l, highest);
 }
 
-void test_saturated(const CheckedLog& log, const FaultReport& report) {
-    for (int l = 0; l < std::ssize(log.sequence.lidars) && !are_intensities_equal(log); ++l) {
-        const ReturnStatistics sum = add_scans(log, l);
+void test_saturated(const CheckedLog& checked, const FaultReport& report) {
+    for (int l = 0; l < std::ssize(checked.log.lidars) && !are_intensities_equal(checked); ++l) {
+        const ReturnStatistics sum = add_scans(checked, l);
         const double share = double(sum.n_at_maximum) / double(std::max<std::size_t>(sum.n_returns, 1));
         if (share > kMaxSaturatedShare) report.add_for(l, 100.0 * share);
     }
@@ -255,17 +255,17 @@ void test_saturated(const CheckedLog& log, const FaultReport& report) {
 
 /// Reports LiDARs whose first scans fit only the opposite direction of rotation. The fit
 /// of a direction is 1 if azimuths and times agree with it (measure_rotation()).
-void test_rotation(const CheckedLog& log, const FaultReport& report) {
-    for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
-        const Lidar& lidar = log.sequence.lidars[l];
+void test_rotation(const CheckedLog& checked, const FaultReport& report) {
+    for (std::size_t l = 0; l < checked.log.lidars.size(); ++l) {
+        const Lidar& lidar = checked.log.lidars[l];
         if (lidar.pattern || lidar.sensor.beams.empty() || !(lidar.sensor.period_s > 0.0)) continue;
         RotationFit sum;
         int n_scans = 0;
-        for (std::size_t i = 0; i < log.scans.size() && n_scans < kRotationScans; ++i) {
-            const Frame& frame = log.sequence.frames[i];
-            if (frame.lidar != int(l) || log.scans[i].n_returns == 0) continue;
+        for (std::size_t i = 0; i < checked.scans.size() && n_scans < kRotationScans; ++i) {
+            const Frame& frame = checked.log.frames[i];
+            if (frame.lidar != int(l) || checked.scans[i].n_returns == 0) continue;
             ++n_scans;
-            const RotationFit fit = measure_rotation(frame.scan, lidar.sensor, log.scans[i].n_returns);
+            const RotationFit fit = measure_rotation(frame.scan, lidar.sensor, checked.scans[i].n_returns);
             sum.nominal += fit.nominal;
             sum.opposite += fit.opposite;
         }
@@ -276,16 +276,16 @@ void test_rotation(const CheckedLog& log, const FaultReport& report) {
     }
 }
 
-void test_own_body(const CheckedLog& log, const FaultReport& report) {
-    std::vector<int> frames(log.sequence.frames.size());
+void test_own_body(const CheckedLog& checked, const FaultReport& report) {
+    std::vector<int> frames(checked.log.frames.size());
     std::iota(frames.begin(), frames.end(), 0);
-    for (int l = 0; l < std::ssize(log.sequence.lidars) && log.sequence.has_poses; ++l)
-        if (const OwnBody body = find_own_body(log.sequence, l, frames); !body.table.empty())
+    for (int l = 0; l < std::ssize(checked.log.lidars) && checked.log.has_poses; ++l)
+        if (const OwnBody body = find_own_body(checked.log, l, frames); !body.table.empty())
             report.add_for(l, body.describe());
 }
 
-void test_box_convention(const CheckedLog& log, const FaultReport& report) {
-    if (const std::string fault = checks::describe_fault(log.sequence); !fault.empty()) report.add(fault);
+void test_box_convention(const CheckedLog& checked, const FaultReport& report) {
+    if (const std::string fault = checks::describe_fault(checked.log); !fault.empty()) report.add(fault);
 }
 
 }  // namespace relidar::checks

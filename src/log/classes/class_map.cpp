@@ -8,7 +8,7 @@
 #include <cmath>
 #include <unordered_set>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "base/geometry/cell_key.hpp"
 #include "base/geometry/cell_numbers.hpp"
@@ -61,18 +61,18 @@ namespace {
 
 /// Returns the world grid cell and the class of each labelled return of a frame, except
 /// in moving boxes, because the map is only of the background.
-std::vector<SurfaceClassCell> collect_votes(const Log& sequence, const PoseTrack& world_from_sensor,
+std::vector<SurfaceClassCell> collect_votes(const Log& log, const PoseTrack& world_from_sensor,
                                             const std::vector<BoxTrack>& moving_boxes, const Frame& frame) {
     const Scan& scan = frame.scan;
     std::vector<SurfaceClassCell> votes;
     for (std::size_t ray = 0; ray < scan.classes.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
         const WorldRay world =
-            make_world_ray(world_from_sensor, frame.time_s, scan.rays, ray, sequence.rolling_shutter);
-        const double range_m = surface_return(sequence, frame, ray).range_m;  // without the beam's offset
+            make_world_ray(world_from_sensor, frame.time_s, scan.rays, ray, log.rolling_shutter);
+        const double range_m = surface_return(log, frame, ray).range_m;  // without the beam's offset
         const glm::dvec3 point_m = world.origin_m + range_m * world.direction;
         const double time_s =
-            frame.time_s + (sequence.rolling_shutter ? double(scan.rays.time_offset_s[ray]) : 0.0);
+            frame.time_s + (log.rolling_shutter ? double(scan.rays.time_offset_s[ray]) : 0.0);
         if (is_in_moving_box(moving_boxes, point_m, time_s, kMoverMargin_m)) continue;
         votes.push_back({glm::ivec3(glm::floor(point_m / kClassCell_m)), scan.classes[ray]});
     }
@@ -99,19 +99,19 @@ SurfaceClassMap count_votes(const std::vector<SurfaceClassCell>& votes) {
 
 }  // namespace
 
-SurfaceClassMap map_classes(const Log& sequence, const PoseTrack& world_from_vehicle,
+SurfaceClassMap map_classes(const Log& log, const PoseTrack& world_from_vehicle,
                             const std::vector<BoxTrack>& boxes, const std::vector<int>& frame_indices) {
     std::vector<PoseTrack> world_from_sensor;
-    for (const Lidar& lidar : sequence.lidars)
+    for (const Lidar& lidar : log.lidars)
         world_from_sensor.push_back(mount_track(world_from_vehicle, lidar.vehicle_from_sensor));
     std::vector<BoxTrack> moving_boxes = boxes;
     std::erase_if(moving_boxes, [](const BoxTrack& box) { return !box.is_moving(); });
 
     std::vector<std::vector<SurfaceClassCell>> votes_of_frame(frame_indices.size());
     parallel_for(int(frame_indices.size()), [&](int index) {
-        const Frame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
+        const Frame& frame = log.frames[std::size_t(frame_indices[std::size_t(index)])];
         votes_of_frame[std::size_t(index)] =
-            collect_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving_boxes, frame);
+            collect_votes(log, world_from_sensor[std::size_t(frame.lidar)], moving_boxes, frame);
     });
     return count_votes(concatenate(std::move(votes_of_frame)));
 }

@@ -189,14 +189,14 @@ std::size_t choose_column_step(const SpinningSensor& sensor, std::size_t n_rows,
 
 /// Returns the space that one scan has observed: the cells along each ray, up to its
 /// observed length, and between neighbouring rays of a column.
-ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_sensor, const Frame& frame,
+ObservedVoxelSet observe_frame(const Log& log, const PoseTrack& world_from_sensor, const Frame& frame,
                                double max_range_m) {
     ObservedVoxelSet observed;
     const Scan& scan = frame.scan;
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
-    const std::size_t column_step = choose_column_step(sequence.lidar_of(frame).sensor, rows, max_range_m);
-    const BodyTable& own_body = sequence.lidar_of(frame).own_body;
+    const std::size_t column_step = choose_column_step(log.lidar_of(frame).sensor, rows, max_range_m);
+    const BodyTable& own_body = log.lidar_of(frame).own_body;
     // Of the current column, from the highest beam to the lowest.
     std::vector<double> range_m(rows);
     std::vector<RaySegment> segments(rows);
@@ -212,7 +212,7 @@ ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_
             segment.length_m = is_hidden ? 0.0 : length_m[row];
             if (!(segment.length_m > 0.0)) continue;
             segment.ray =
-                make_world_ray(world_from_sensor, frame.time_s, scan.rays, ray, sequence.rolling_shutter);
+                make_world_ray(world_from_sensor, frame.time_s, scan.rays, ray, log.rolling_shutter);
             observed.add_segment(segment.ray.origin_m,
                                  segment.ray.origin_m + length_m[row] * segment.ray.direction);
             if (row > 0 && segments[row - 1].length_m > 0.0)
@@ -224,17 +224,17 @@ ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_
 
 }  // namespace
 
-ObservedVoxelSet observe_coverage(const Log& sequence, const PoseTrack& world_from_vehicle,
+ObservedVoxelSet observe_coverage(const Log& log, const PoseTrack& world_from_vehicle,
                                   const std::vector<int>& frame_indices, double max_range_m) {
     std::vector<PoseTrack> world_from_sensor;
-    for (const Lidar& lidar : sequence.lidars)
+    for (const Lidar& lidar : log.lidars)
         world_from_sensor.push_back(mount_track(world_from_vehicle, lidar.vehicle_from_sensor));
     ObservedVoxelSet observed;  // a union, so the order of the frames does not matter
     std::mutex mutex;
     parallel_for(int(frame_indices.size()), [&](int index) {
-        const Frame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
+        const Frame& frame = log.frames[std::size_t(frame_indices[std::size_t(index)])];
         const ObservedVoxelSet observed_by_frame =
-            observe_frame(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
+            observe_frame(log, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
         const std::lock_guard lock(mutex);
         observed.merge(observed_by_frame);
     });

@@ -12,7 +12,7 @@
 #include <relidar/read/clouds.hpp>
 
 #include "base/files.hpp"
-#include "log/sequence/match_sweeps.hpp"
+#include "log/frames/match_sweeps.hpp"
 
 namespace relidar::bag {
 namespace {

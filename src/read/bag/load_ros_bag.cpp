@@ -11,7 +11,7 @@
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "log/sequence/match_sweeps.hpp"
+#include "log/frames/match_sweeps.hpp"
 #include "read/bag/bag_scans.hpp"
 #include "read/bag/choose.hpp"
 #include "read/kitti/log_files.hpp"
@@ -43,8 +43,8 @@ public:
           boxes_(choose_boxes(bag_, survey_)) {
         // A path that ends with a slash has no file name.
         const std::filesystem::path clean = path.lexically_normal();
-        sequence_.name = (clean.has_filename() ? clean : clean.parent_path()).filename().string();
-        sequence_.source = path.string();
+        log_.name = (clean.has_filename() ? clean : clean.parent_path()).filename().string();
+        log_.source = path.string();
     }
 
     /// Groups the clouds to frames, adds LiDARs and poses, then reads the scans of the
@@ -57,30 +57,29 @@ public:
         add_lidars();
         add_frames();
         read::ScanLayout layout{.motion_compensated = is_deskewed_ && !has_poses_};
-        for (std::size_t l = 0; l < sequence_.lidars.size(); ++l) {
-            layout.lidars.push_back({.has_beams = !sequence_.lidars[l].sensor.beams.empty()});
+        for (std::size_t l = 0; l < log_.lidars.size(); ++l) {
+            layout.lidars.push_back({.has_beams = !log_.lidars[l].sensor.beams.empty()});
             if (lidars_[l].units.is_deskewed) layout.motion_compensated = true;
         }
         DatasetOptions options = options_;
-        if (!sequence_.has_poses) options.poses_file = kNoPoses;
+        if (!log_.has_poses) options.poses_file = kNoPoses;
         LidarPoseFunction deskewed_by;  // empty: the points are not compensated, or it cannot be undone
         if (is_deskewed_ && has_poses_)
             deskewed_by = [&](std::size_t lidar, double t_s) {
                 const Pose pose = vehicle_pose(t_s);
-                return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
+                return clouds_.lidars.size() > 1 ? pose * log_.lidars[lidar].vehicle_from_sensor : pose;
             };
-        read::read_scans(sequence_, layout, BagScans(bag_, lidars_, frames_, poses_.clock, deskewed_by),
-                         options);
-        if (!has_poses_) return std::move(sequence_);
+        read::read_scans(log_, layout, BagScans(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
+        if (!has_poses_) return std::move(log_);
         leave_out_torn();
         const auto vehicle_pose_in_log_world = [&](double t_s) -> std::optional<Pose> {
             if (!poses_.path->covers_time(t_s)) return std::nullopt;
             Pose pose = vehicle_pose(t_s);
-            pose.translation -= sequence_.world_offset_m;
+            pose.translation -= log_.world_offset_m;
             return pose;
         };
-        add_note(read::correct_rays(sequence_, vehicle_pose_in_log_world));
-        return std::move(sequence_);
+        add_note(read::correct_rays(log_, vehicle_pose_in_log_world));
+        return std::move(log_);
     }
 
 private:
@@ -90,7 +89,7 @@ private:
     ChosenClouds clouds_;
     ChosenPoses poses_;
     SelectedBoxTopic boxes_;
-    Log sequence_;
+    Log log_;
     std::vector<LidarTopic> lidars_;  ///< topic of each LiDAR
     std::vector<FrameCloud> frames_;  ///< cloud of each frame
     bool has_poses_ = false;          ///< the recording has poses
@@ -112,11 +111,11 @@ private:
     }
 
     void add_note(const std::string& text) {
-        if (!text.empty()) sequence_.notes.push_back(text);
+        if (!text.empty()) log_.notes.push_back(text);
     }
     template <class AnyTopic>
     void add_topic_note(const AnyTopic& topic_entry, const std::string& text) {
-        if (!text.empty()) sequence_.notes.push_back(topic_name_of(topic_entry) + ": " + text);
+        if (!text.empty()) log_.notes.push_back(topic_name_of(topic_entry) + ": " + text);
     }
 
     /// Returns for each topic of the recording whether it is loaded.
@@ -243,7 +242,7 @@ private:
             fail(
                 "{}: {}; none of the {} clouds has a pose at its time; select other poses with "
                 "dataset.poses_from or dataset.poses=FILE, or estimate them with dataset.poses=none",
-                sequence_.source, poses_.description, n_unplaced);
+                log_.source, poses_.description, n_unplaced);
         if (frames_.empty())
             fail<UsageError>("frames {}:{} select no cloud of {}; frames are numbered from 0",
                              options_.frames.begin,
@@ -262,8 +261,8 @@ private:
         if (jumps.empty()) return;
         // Times of the first and the last ray of each LiDAR's sweeps. `info` reads only
         // some scans.
-        std::vector<std::pair<float, float>> span_s(sequence_.lidars.size());
-        for (const Frame& frame : sequence_.frames)
+        std::vector<std::pair<float, float>> span_s(log_.lidars.size());
+        for (const Frame& frame : log_.frames)
             if (const auto& offsets_s = frame.scan.rays.time_offset_s; !offsets_s.empty()) {
                 const auto [first, last] = std::ranges::minmax(offsets_s);
                 span_s[std::size_t(frame.lidar)] = {first, last};
@@ -274,18 +273,17 @@ private:
                 return jump.last_s >= frame.time_s + first && jump.first_s <= frame.time_s + last;
             });
         };
-        const auto n_removed = std::size_t(std::ranges::count_if(sequence_.frames, is_torn));
-        if (n_removed > std::max<std::size_t>(1, sequence_.frames.size() / 10) ||
-            n_removed == sequence_.frames.size())
+        const auto n_removed = std::size_t(std::ranges::count_if(log_.frames, is_torn));
+        if (n_removed > std::max<std::size_t>(1, log_.frames.size() / 10) || n_removed == log_.frames.size())
             return;
-        std::erase_if(sequence_.frames, is_torn);
+        std::erase_if(log_.frames, is_torn);
         PoseTrack track;  // has poses only at the times of frames
-        for (std::size_t k = 0; k < sequence_.world_from_vehicle.pose.size(); ++k) {
-            const double time_s = sequence_.world_from_vehicle.time_s[k];
-            if (std::ranges::find(sequence_.frames, time_s, &Frame::time_s) != sequence_.frames.end())
-                track.append(time_s, sequence_.world_from_vehicle.pose[k]);
+        for (std::size_t k = 0; k < log_.world_from_vehicle.pose.size(); ++k) {
+            const double time_s = log_.world_from_vehicle.time_s[k];
+            if (std::ranges::find(log_.frames, time_s, &Frame::time_s) != log_.frames.end())
+                track.append(time_s, log_.world_from_vehicle.pose[k]);
         }
-        sequence_.world_from_vehicle = std::move(track);
+        log_.world_from_vehicle = std::move(track);
         const PoseJump& largest = *std::ranges::max_element(jumps, {}, &PoseJump::distance_m);
         add_note(fmt::format(
             "the poses jump {} by {:.2f} m at {:.2f} s, as after a loop closure; {} sweeps during a jump are "
@@ -317,7 +315,7 @@ private:
     /// A single LiDAR is the vehicle frame. Several have poses on the vehicle.
     void add_lidars() {
         const bool is_one = clouds_.lidars.size() == 1;
-        sequence_.lidars.clear();
+        log_.lidars.clear();
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             Lidar lidar;
             lidar.sensor = lidars_[l].sensor;
@@ -327,7 +325,7 @@ private:
             if (!is_one)
                 lidar.vehicle_from_sensor =
                     *survey_.frames.find_constant(poses_.vehicle, cloud_topic_of(l).frame);
-            sequence_.lidars.push_back(std::move(lidar));
+            log_.lidars.push_back(std::move(lidar));
         }
     }
 
@@ -384,7 +382,7 @@ private:
             // The file has no poses at the times of the other clock.
         }
         try {
-            poses = read_poses(0, sequence_.notes);
+            poses = read_poses(0, log_.notes);
         } catch (const DataError&) {
             if (other_poses.empty()) throw;
         }
@@ -420,11 +418,11 @@ private:
         transform_context.vehicle = has_vehicle_frame ? poses_.vehicle : main_topic().frame;
         transform_context.world_from_vehicle = [&](double t_s) {
             if (has_poses_) return poses_.path->compute_pose_at(t_s);
-            return sequence_.has_poses ? sequence_.world_from_vehicle.pose_at(t_s) : Pose{};
+            return log_.has_poses ? log_.world_from_vehicle.pose_at(t_s) : Pose{};
         };
         const LoadedBoxes tracks =
-            read_bag_boxes(bag_, *boxes_.topic, transform_context, sequence_.world_from_vehicle.time_s);
-        sequence_.boxes = tracks.tracks;
+            read_bag_boxes(bag_, *boxes_.topic, transform_context, log_.world_from_vehicle.time_s);
+        log_.boxes = tracks.tracks;
         for (const std::string& text : tracks.notes) add_topic_note(*boxes_.topic, text);
     }
 
@@ -439,31 +437,31 @@ private:
     void add_frames() {
         std::vector<Pose> file_poses;
         if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) file_poses = read_user_poses();
-        sequence_.has_poses = has_poses_ || !file_poses.empty();
+        log_.has_poses = has_poses_ || !file_poses.empty();
         for (std::size_t i = 0; i < frames_.size(); ++i) {
             // Without poses, the vehicle stays at the origin.
             Pose pose;
             if (!file_poses.empty()) pose = file_poses[i];
             else if (has_poses_) pose = vehicle_pose(frames_[i].time_s);
-            add_frame(sequence_, frames_[i].number, frames_[i].time_s, pose, int(frames_[i].lidar));
+            add_frame(log_, frames_[i].number, frames_[i].time_s, pose, int(frames_[i].lidar));
         }
-        if (options_.poses_file == kNoPoses) sequence_.notes.push_back(kitti::kNoPosesNote);
-        else if (!sequence_.has_poses)
+        if (options_.poses_file == kNoPoses) log_.notes.push_back(kitti::kNoPosesNote);
+        else if (!log_.has_poses)
             add_note(
                 "the recording has no poses; they must be estimated from the scans, like with "
                 "dataset.poses=none");
-        sequence_.conventions = fmt::format(
+        log_.conventions = fmt::format(
             "ROS frames: x forward, y left, z up, in metres. Frame numbers count the clouds of {} from 0.",
             topic_name_of(main_topic()));
-        set_log_start(sequence_, poses_.zero_ns,
+        set_log_start(log_, poses_.zero_ns,
                       poses_.clock == LogClock::stamps ? "on the clock of the time stamps"
                                                        : "on the clock of the recorder");
         add_boxes();
-        centre_log(sequence_);
+        centre_log(log_);
         const FixTopic* fixes = find_fixes();
         if (!fixes) return;
         const GeoreferenceFit place = find_place(*fixes, poses_, survey_.frames);
-        sequence_.georeference = place.georeference;
+        log_.georeference = place.georeference;
         add_topic_note(*fixes, place.note);
     }
 };

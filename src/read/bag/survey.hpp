@@ -10,7 +10,7 @@
 #include <vector>
 
 #include <relidar/base/progress.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "read/bag/bag_file.hpp"
 #include "read/bag/messages.hpp"

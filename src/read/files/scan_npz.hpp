@@ -7,7 +7,7 @@
 #include <filesystem>
 
 #include <relidar/base/arrays.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "read/scans/folder_head.hpp"
 

@@ -101,9 +101,9 @@ fs::path find_imu_file(const fs::path& drive) {
 
 /// Returns the frames whose poses a pose file must contain: one frame per time, because
 /// LiDARs that sweep simultaneously share a pose.
-std::vector<read::LogFrame> list_posed_frames(const Log& sequence) {
+std::vector<read::LogFrame> list_posed_frames(const Log& log) {
     std::vector<read::LogFrame> frames;
-    for (const Frame& frame : sequence.frames)
+    for (const Frame& frame : log.frames)
         if (frames.empty() || frames.back().time_s != frame.time_s)
             frames.push_back({frame.index, frame.time_s, frame.lidar, {}});
     return frames;
@@ -179,20 +179,19 @@ std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int
     return poses;
 }
 
-void replace_poses(Log& sequence, const fs::path& pose_file, const read::ScanPairReader& read_scan_pairs) {
+void replace_poses(Log& log, const fs::path& pose_file, const read::ScanPairReader& read_scan_pairs) {
     if (pose_file.empty()) return;
-    const std::vector<double>& times_s = sequence.world_from_vehicle.time_s;
+    const std::vector<double>& times_s = log.world_from_vehicle.time_s;
     if (pose_file == kNoPoses) {
         // Identity poses, until they are estimated from the scans.
-        sequence.notes.push_back(kNoPosesNote);
-        set_trajectory(sequence, {times_s, std::vector<Pose>(times_s.size())});
+        log.notes.push_back(kNoPosesNote);
+        set_trajectory(log, {times_s, std::vector<Pose>(times_s.size())});
         return;
     }
-    const auto poses =
-        read::load_poses(pose_file, list_posed_frames(sequence), read_scan_pairs, sequence.notes);
+    const auto poses = read::load_poses(pose_file, list_posed_frames(log), read_scan_pairs, log.notes);
     if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
     // The file has poses in the world of the dataset, which the log shifts.
-    set_trajectory(sequence, shift_track({times_s, *poses}, -sequence.world_offset_m));
+    set_trajectory(log, shift_track({times_s, *poses}, -log.world_offset_m));
 }
 
 std::map<int, Pose> read_numbered_poses(const fs::path& file) {

@@ -10,7 +10,7 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/read/points.hpp>
 
 #include "read/scans/pose_conventions.hpp"
@@ -37,7 +37,7 @@ void note_missing_scans(Log& log, const std::filesystem::path& folder, const std
                         bool allow_missing);
 
 /// Returns an error message that names the folder to use instead, for an odometry
-/// sequence, a folder of drives, and a folder inside a drive. Otherwise an empty string.
+/// log, a folder of drives, and a folder inside a drive. Otherwise an empty string.
 /// @param expected_subfolder  subfolder that every drive has
 std::string describe_mistake(const std::filesystem::path& folder, const std::string& expected_subfolder);
 
@@ -91,7 +91,7 @@ inline const Note kNoPosesNote{
 /// each frame, or poses with times. The boxes move with the vehicle.
 /// @param pose_file  empty: does nothing; "none": sets identity poses
 /// @param read_scan_pairs  reads scans that show which meaning of the poses fits
-void replace_poses(Log& sequence, const std::filesystem::path& pose_file,
+void replace_poses(Log& log, const std::filesystem::path& pose_file,
                    const read::ScanPairReader& read_scan_pairs = nullptr);
 
 /// Reads poses by frame number. Each line contains a frame number and a 3x4 matrix. The

@@ -19,26 +19,26 @@ void ScanErrorCollector::record_broken(std::size_t scan_index, const std::string
     reasons_.try_emplace(scan_index, reason);
 }
 
-void ScanErrorCollector::report_broken(Log& sequence, std::size_t n_scans) const {
+void ScanErrorCollector::report_broken(Log& log, std::size_t n_scans) const {
     if (!reasons_.empty() && reasons_.size() == n_scans)
-        fail("{}: none of the {} scans can be read; the first error is: {}", sequence.source, n_scans,
+        fail("{}: none of the {} scans can be read; the first error is: {}", log.source, n_scans,
              reasons_.begin()->second);
     for (const auto& [i, reason] : reasons_)
-        sequence.notes.push_back(fmt::format("a scan that cannot be read is skipped: {}", reason));
+        log.notes.push_back(fmt::format("a scan that cannot be read is skipped: {}", reason));
 }
 
-void ScanErrorCollector::remove_broken(Log& sequence) const {
-    report_broken(sequence, sequence.frames.size());
+void ScanErrorCollector::remove_broken(Log& log) const {
+    report_broken(log, log.frames.size());
     if (reasons_.empty()) return;
     std::vector<Frame> frames;
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i)
-        if (!reasons_.contains(i)) frames.push_back(std::move(sequence.frames[i]));
-    sequence.frames = std::move(frames);
+    for (std::size_t i = 0; i < log.frames.size(); ++i)
+        if (!reasons_.contains(i)) frames.push_back(std::move(log.frames[i]));
+    log.frames = std::move(frames);
     std::set<double> times_s;  // poses at other times are removed
-    for (const Frame& frame : sequence.frames) times_s.insert(frame.time_s);
-    const PoseTrack all = std::exchange(sequence.world_from_vehicle, {});
+    for (const Frame& frame : log.frames) times_s.insert(frame.time_s);
+    const PoseTrack all = std::exchange(log.world_from_vehicle, {});
     for (std::size_t k = 0; k < all.time_s.size(); ++k)
-        if (times_s.contains(all.time_s[k])) sequence.world_from_vehicle.append(all.time_s[k], all.pose[k]);
+        if (times_s.contains(all.time_s[k])) log.world_from_vehicle.append(all.time_s[k], all.pose[k]);
 }
 
 }  // namespace relidar

@@ -10,7 +10,7 @@
 #include <string>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 
@@ -44,11 +44,11 @@ public:
 
     /// Adds a note about each broken scan.
     /// @throws DataError if all scans are broken
-    void report_broken(Log& sequence, std::size_t n_scans) const;
+    void report_broken(Log& log, std::size_t n_scans) const;
     /// Removes the frames of broken scans, and the poses that only they use. Adds notes.
-    /// The indices of scans must be indices in `sequence.frames`.
+    /// The indices of scans must be indices in `log.frames`.
     /// @throws DataError if all scans are broken
-    void remove_broken(Log& sequence) const;
+    void remove_broken(Log& log) const;
 
 private:
     static constexpr const char* kSkipBrokenHint =

@@ -40,12 +40,12 @@ struct FarReturns {
 };
 
 /// Counts the returns of a LiDAR at its largest range in the log.
-FarReturns find_far_returns(const Log& sequence, int lidar_index) {
+FarReturns find_far_returns(const Log& log, int lidar_index) {
     FarReturns far;
-    for (const Frame& frame : sequence.frames)
+    for (const Frame& frame : log.frames)
         if (frame.lidar == lidar_index)
             for (const float range_m : frame.scan.range_m) far.range_m = std::max(far.range_m, range_m);
-    for (const Frame& frame : sequence.frames) {
+    for (const Frame& frame : log.frames) {
         if (frame.lidar != lidar_index) continue;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (frame.scan.range_m[i] > 0.0f) ++far.n_all;
@@ -59,16 +59,16 @@ FarReturns find_far_returns(const Log& sequence, int lidar_index) {
 
 }  // namespace
 
-void remove_drop_markers(Log& sequence) {
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
-        const FarReturns far = find_far_returns(sequence, int(l));
+void remove_drop_markers(Log& log) {
+    for (std::size_t l = 0; l < log.lidars.size(); ++l) {
+        const FarReturns far = find_far_returns(log, int(l));
         if (!far.are_markers()) continue;
         // slightly below the largest range, so that equal ranges are dropped
         const double limit_m = double(far.range_m) * (1.0 - double(kSameRange));
-        for (Frame& frame : sequence.frames)
+        for (Frame& frame : log.frames)
             if (frame.lidar == int(l)) limit_ranges(frame.scan, {0.0, limit_m});
-        const std::string& name = sequence.lidars[l].name;
-        sequence.notes.push_back(
+        const std::string& name = log.lidars[l].name;
+        log.notes.push_back(
             fmt::format("range{}: {} of {} points have exactly the largest range, {} m: rays without return",
                         name.empty() ? "" : " of " + name, far.n, far.n_all, round_range(far.range_m)));
     }

@@ -8,7 +8,7 @@
 
 #include <glm/glm.hpp>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 
@@ -31,6 +31,6 @@ bool is_return_point(const Vector& point_m) {
 /// Turns returns at the maximum range of a LiDAR into dropped rays and adds a note. Real
 /// ranges have noise. The largest range of the log stands for dropped rays if it is a
 /// multiple of half a metre, and exactly that of many returns, but not of nearly all.
-void remove_drop_markers(Log& sequence);
+void remove_drop_markers(Log& log);
 
 }  // namespace relidar

@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/read/points.hpp>
 
 namespace relidar {

@@ -17,8 +17,8 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
+#include "log/georeference/georeference_json.hpp"
 #include "log/sensor/pattern_kinds.hpp"
-#include "log/sequence/georeference_json.hpp"
 #include "read/files/other_formats.hpp"
 #include "read/files/point_table.hpp"
 
@@ -311,7 +311,7 @@ PointFileUnits read_units(const JsonField& root) {
 
 /// Reads the frames: either the list "frames", or the files in the scan folders at the
 /// constant rate "rate_hz". Sorts them by time. Adds notes about missing scans.
-void read_frames(SequenceHeader& header, const JsonField& root, const fs::path& folder) {
+void read_frames(FolderHead& header, const JsonField& root, const fs::path& folder) {
     const bool has_list = root.has_member("frames"), has_rate = root.has_member("rate_hz");
     if (has_list == has_rate)
         root.reject(
@@ -329,7 +329,7 @@ void read_frames(SequenceHeader& header, const JsonField& root, const fs::path& 
 }
 
 /// Adds a note that names the columns that relidar ignores.
-void note_skipped_columns(SequenceHeader& header) {
+void note_skipped_columns(FolderHead& header) {
     std::vector<std::string> skipped;
     std::ranges::copy_if(header.units.columns, std::back_inserter(skipped),
                          [](const std::string& column) { return !is_known_field(column); });
@@ -339,7 +339,7 @@ void note_skipped_columns(SequenceHeader& header) {
 }
 
 /// Reads where the world frame of the log is on the earth.
-void read_place(SequenceHeader& header, const JsonField& root) {
+void read_place(FolderHead& header, const JsonField& root) {
     if (root.has_member("georeference")) {
         header.georeference = read_georeference(root.at("georeference"));
         if (has_proj()) {  // The converter rejects unsuitable projections.
@@ -357,7 +357,7 @@ void read_place(SequenceHeader& header, const JsonField& root) {
 
 }  // namespace
 
-SequenceHeader read_header(const fs::path& folder, double default_max_range_m) {
+FolderHead read_header(const fs::path& folder, double default_max_range_m) {
     const std::string file = (folder / kHeadFile).string();
     const nlohmann::json json = parse_json(read_text_file(file), file);
     const JsonField root(json, file, "");
@@ -367,7 +367,7 @@ SequenceHeader read_header(const fs::path& folder, double default_max_range_m) {
     if (root.at("format").text() != kLogFormat)
         root.at("format").reject("found another format", fmt::format("expected \"{}\"", kLogFormat));
     root.at("version").integer_in(1, kLogVersion);
-    SequenceHeader header;
+    FolderHead header;
     header.name = read_text_or(root, "name", folder.filename().string());
     header.conventions =
         read_text_or(root, "conventions", "Sensor frame: x forward, y left, z up, in metres.", kLongestText);

@@ -57,7 +57,7 @@ struct LogFrame {
 };
 
 /// Contents of sequence.json.
-struct SequenceHeader {
+struct FolderHead {
     std::string name, conventions;
     std::int64_t start_unix_ns = 0;
     Notes notes;
@@ -72,7 +72,7 @@ struct SequenceHeader {
 /// Reads sequence.json. If it does not list the scans, lists the files in the scan
 /// folders.
 /// @param default_max_range_m  maximum range of sensors for which the file contains none
-SequenceHeader read_header(const std::filesystem::path& folder, double default_max_range_m);
+FolderHead read_header(const std::filesystem::path& folder, double default_max_range_m);
 
 /// Reads the vehicle pose of each frame, if the file exists. Its lines have
 /// - 12 numbers: a 3x4 matrix, row-major; line i belongs to frame number i,
@@ -95,7 +95,7 @@ std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
 
 /// Reads the scans of all frames from files with read_scans(). Estimates missing units.
 /// @param scan_files  [frames] scan file of each frame
-void read_scan_files(Log& sequence, const ScanLayout& layout, PointFileUnits units,
+void read_scan_files(Log& log, const ScanLayout& layout, PointFileUnits units,
                      const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
 
 }  // namespace relidar::read

@@ -42,7 +42,7 @@ public:
 /// Reads the scans of all frames. Poses must be set before, unless dataset.poses=none.
 /// First plans from some scans how the points of each LiDAR become rays. Scans that
 /// cannot be read are errors, or are removed from the log with options.skip_broken.
-void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
+void read_scans(Log& log, const ScanLayout& layout, const ScanProvider& scan_provider,
                 const DatasetOptions& options);
 
 }  // namespace relidar::read

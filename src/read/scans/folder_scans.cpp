@@ -38,13 +38,9 @@ bool has_firing_times(const LidarPoints& points) {
 /// Reads the scans of a folder from their files.
 class FolderScans : public ScanProvider {
 public:
-    FolderScans(const Log& sequence, const ScanLayout& layout, const PointFileUnits& units,
+    FolderScans(const Log& log, const ScanLayout& layout, const PointFileUnits& units,
                 const std::vector<fs::path>& files)
-        : sequence_(sequence),
-          layout_(layout),
-          units_(units),
-          files_(files),
-          has_npz_points_(has_npz_points(files)) {}
+        : log_(log), layout_(layout), units_(units), files_(files), has_npz_points_(has_npz_points(files)) {}
 
     std::string frame_name(std::size_t frame_index) const override { return files_[frame_index].string(); }
     bool stores_points(std::size_t frame_index) const override {
@@ -54,17 +50,17 @@ public:
     LidarPoints read_points(std::size_t frame_index) const override {
         const PointTable table = read_point_file(files_[frame_index], units_.columns);
         check_deskewing(table.is_deskewed, layout_.motion_compensated, frame_name(frame_index));
-        return convert_table(table, units_, sequence_.frames[frame_index].time_s, frame_name(frame_index));
+        return convert_table(table, units_, log_.frames[frame_index].time_s, frame_name(frame_index));
     }
     Scan read_rays(std::size_t frame_index) const override {
-        const Frame& frame = sequence_.frames[frame_index];
+        const Frame& frame = log_.frames[frame_index];
         return read_scan_image(files_[frame_index], {units_, layout_.motion_compensated,
                                                      layout_.lidars[std::size_t(frame.lidar)].lowest_first,
-                                                     sequence_.lidar_of(frame), frame.time_s});
+                                                     log_.lidar_of(frame), frame.time_s});
     }
 
 private:
-    const Log& sequence_;
+    const Log& log_;
     const ScanLayout& layout_;
     const PointFileUnits& units_;
     const std::vector<fs::path>& files_;
@@ -75,28 +71,28 @@ private:
 /// sample scans, how its points become rays. Several threads then read the frames.
 class ScanReader {
 public:
-    ScanReader(Log& sequence, const ScanLayout& layout, const ScanProvider& source,
-               const DatasetOptions& options, ScanErrorCollector& broken)
-        : sequence_(sequence),
+    ScanReader(Log& log, const ScanLayout& layout, const ScanProvider& source, const DatasetOptions& options,
+               ScanErrorCollector& broken)
+        : log_(log),
           layout_(layout),
           source_(source),
           has_poses_(options.poses_file != kNoPoses),
           recovers_firings_(options.rolling_shutter),
           broken_(broken),
-          plans_(sequence.lidars.size()),
-          counts_(sequence.frames.size()) {}
+          plans_(log.lidars.size()),
+          counts_(log.frames.size()) {}
 
     /// Plans the scans of all LiDARs. Sets their sensors. A log has either a rolling
     /// shutter or not, so if one LiDAR stays motion-compensated, all LiDARs do.
     void plan_lidars() {
-        const Notes notes = sequence_.notes;
-        const std::vector<Lidar> lidars = sequence_.lidars;
+        const Notes notes = log_.notes;
+        const std::vector<Lidar> lidars = log_.lidars;
         plan_each_lidar();
-        if (sequence_.rolling_shutter || std::ranges::none_of(plans_, &ScanPlan::undoes_motion)) return;
+        if (log_.rolling_shutter || std::ranges::none_of(plans_, &ScanPlan::undoes_motion)) return;
         // Only some LiDARs could undo the compensation, so all are planned to keep it.
         may_undo_motion_ = false;
-        sequence_.notes = notes;
-        sequence_.lidars = lidars;
+        log_.notes = notes;
+        log_.lidars = lidars;
         samples_.clear();
         std::ranges::fill(counts_, PointCounts{});
         plan_each_lidar();
@@ -105,7 +101,7 @@ public:
     /// Reads the scan of a frame by the plan of its LiDAR. Several threads call it.
     void read_frame_scan(std::size_t frame_index) {
         if (!source_.stores_points(frame_index)) {
-            sequence_.frames[frame_index].scan = source_.read_rays(frame_index);
+            log_.frames[frame_index].scan = source_.read_rays(frame_index);
             return;
         }
         LidarPoints points = load_points(frame_index);
@@ -117,7 +113,7 @@ public:
     const std::vector<PointCounts>& counts() const { return counts_; }
 
 private:
-    Log& sequence_;
+    Log& log_;
     const ScanLayout& layout_;
     const ScanProvider& source_;
     const bool has_poses_;         ///< false: the poses will be estimated from the scans
@@ -131,40 +127,38 @@ private:
 
     /// Returns true if stored motion compensation can be undone for points with times.
     bool can_undo_motion() const { return layout_.motion_compensated && has_poses_ && may_undo_motion_; }
-    ScanPlan& plan_of(std::size_t frame_index) {
-        return plans_[std::size_t(sequence_.frames[frame_index].lidar)];
-    }
+    ScanPlan& plan_of(std::size_t frame_index) { return plans_[std::size_t(log_.frames[frame_index].lidar)]; }
 
     double sweep_duration_s(int lidar_index) const {
         const double known_s = layout_.lidars[std::size_t(lidar_index)].sweep_duration_s;
-        return known_s > 0.0 ? known_s : estimate_sweep_s(sequence_, lidar_index);
+        return known_s > 0.0 ? known_s : estimate_sweep_s(log_, lidar_index);
     }
 
     /// Plans the scans of each LiDAR on its own.
     void plan_each_lidar() {
-        for (int l = 0; l < std::ssize(sequence_.lidars); ++l) {
+        for (int l = 0; l < std::ssize(log_.lidars); ++l) {
             std::vector<std::size_t> with_points;  // frames with points
-            for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
-                if (sequence_.frames[i].lidar == l && source_.stores_points(i)) with_points.push_back(i);
-            SpinningSensor& sensor = sequence_.lidars[std::size_t(l)].sensor;
-            if (sensor.name.empty()) sensor.name = sequence_.name;
+            for (std::size_t i = 0; i < log_.frames.size(); ++i)
+                if (log_.frames[i].lidar == l && source_.stores_points(i)) with_points.push_back(i);
+            SpinningSensor& sensor = log_.lidars[std::size_t(l)].sensor;
+            if (sensor.name.empty()) sensor.name = log_.name;
             // Files store either points or rays. A LiDAR with rays needs only a sweep
             // period. If its beams are unknown, it is treated as not rotating (period 0).
             if (!with_points.empty()) plan_lidar(l, with_points);
             else if (!layout_.lidars[std::size_t(l)].has_beams) sensor.period_s = 0.0;
             else if (sensor.period_s == 0.0) sensor.period_s = sweep_duration_s(l);
         }
-        sequence_.rolling_shutter =
+        log_.rolling_shutter =
             !layout_.motion_compensated || std::ranges::all_of(plans_, &ScanPlan::undoes_motion);
     }
 
     /// Reads the points of a frame. Moves points back to their firing times if the log
     /// says that they were motion-compensated, and if their times are known.
     LidarPoints read_points(std::size_t frame_index, bool undo_motion) const {
-        const Frame& frame = sequence_.frames[frame_index];
+        const Frame& frame = log_.frames[frame_index];
         LidarPoints points = source_.read_points(frame_index);
         if (undo_motion && !points.time_offset_s.empty())
-            undo_deskew(points, sequence_.lidar_track(frame.lidar), frame.time_s);
+            undo_deskew(points, log_.lidar_track(frame.lidar), frame.time_s);
         return points;
     }
 
@@ -206,7 +200,7 @@ private:
 
     /// Assigns the points of a frame to the rays of its LiDAR.
     void make_scan(std::size_t frame_index, LidarPoints& points) {
-        Frame& frame = sequence_.frames[frame_index];
+        Frame& frame = log_.frames[frame_index];
         const ScanPlan& plan = plan_of(frame_index);
         const bool has_rings = !points.ring.empty(), has_times = !points.time_offset_s.empty();
         if (points.size() > 0 && (plan.has_rings != has_rings || plan.has_times != has_times))
@@ -260,7 +254,7 @@ private:
             if (double(samples.size()) >= kMinScanShare * double(n)) broken_.record_broken(frame_index, text);
             else broken_.guard(frame_index, [&] { throw DataError(text); });
         }
-        if (samples.empty()) broken_.report_broken(sequence_, broken_.size());
+        if (samples.empty()) broken_.report_broken(log_, broken_.size());
         return samples;
     }
 
@@ -270,14 +264,14 @@ private:
         if (!recovers_firings_ || !layout_.lidars[l].spins) return;
         std::vector<CompensatedSweep> sweeps;
         for (const auto& [frame_index, points] : samples)
-            sweeps.push_back({points, sequence_.frames[frame_index].time_s});
+            sweeps.push_back({points, log_.frames[frame_index].time_s});
         const bool has_times = std::ranges::any_of(
             sweeps, [](const CompensatedSweep& sweep) { return has_firing_times(sweep.points); });
-        const Lidar& lidar = sequence_.lidars[l];
+        const Lidar& lidar = log_.lidars[l];
         CompensatedSensor sensor{
             .period_s = sweep_s,
             .forward = inverse(lidar.vehicle_from_sensor).rotation * glm::dvec3(1, 0, 0)};
-        if (has_poses_) sensor.world_from_sensor = sequence_.lidar_track(lidar_index);
+        if (has_poses_) sensor.world_from_sensor = log_.lidar_track(lidar_index);
         // The points were moved, but their times are not stored.
         if (layout_.motion_compensated && may_undo_motion_ && !has_times)
             plans_[l].firings = plan_firings(std::move(sweeps), sensor);
@@ -292,11 +286,11 @@ private:
 
     /// Moves points back to their firing times, as far as recover_firings() found them.
     void restore(std::size_t frame_index, LidarPoints& points) {
-        const Frame& frame = sequence_.frames[frame_index];
+        const Frame& frame = log_.frames[frame_index];
         const ScanPlan& plan = plan_of(frame_index);
         if (plan.firings) plan.firings->restore(points, frame.time_s);
         if (plan.moved_to_s)
-            undo_deskew_to(points, sequence_.lidar_track(frame.lidar), frame.time_s, *plan.moved_to_s);
+            undo_deskew_to(points, log_.lidar_track(frame.lidar), frame.time_s, *plan.moved_to_s);
     }
 
     /// Decides from a few sample scans how the scans of a LiDAR are read. Points with
@@ -320,16 +314,16 @@ private:
         }
 
         const std::vector<LidarPoints> samples = list_samples();
-        Lidar& lidar = sequence_.lidars[l];
+        Lidar& lidar = log_.lidars[l];
         plan.sensor = lidar.sensor;
         plan_rays(plan, layout_.lidars[l], sweep_s, samples);
         plan.undoes_motion =
             plan.firings || (can_undo_motion() && std::ranges::any_of(samples, has_firing_times));
         if (plan.is_contradiction && layout_.is_described)
             fail("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point as one ray",
-                 sequence_.source, lidar.name, plan.why_no_beams);
+                 log_.source, lidar.name, plan.why_no_beams);
         lidar.sensor = plan.sensor;
-        note_plan(sequence_, layout_, lidar_index, plan, samples);
+        note_plan(log_, layout_, lidar_index, plan, samples);
         samples_.merge(sample_of_frame);
     }
 
@@ -353,10 +347,10 @@ private:
 /// Returns the indices of the frames whose scans will be read, evenly spread over the
 /// log.
 /// @param max_scans  maximum number of scans per LiDAR; 0: all
-std::vector<std::size_t> select_frames(const Log& sequence, int max_scans) {
-    std::vector<std::vector<std::size_t>> frames_by_lidar(sequence.lidars.size());
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i)
-        frames_by_lidar[std::size_t(sequence.frames[i].lidar)].push_back(i);
+std::vector<std::size_t> select_frames(const Log& log, int max_scans) {
+    std::vector<std::vector<std::size_t>> frames_by_lidar(log.lidars.size());
+    for (std::size_t i = 0; i < log.frames.size(); ++i)
+        frames_by_lidar[std::size_t(log.frames[i].lidar)].push_back(i);
     std::vector<std::size_t> all;
     for (const std::vector<std::size_t>& frames : frames_by_lidar) {
         const std::size_t n = max_scans > 0 ? std::min(std::size_t(max_scans), frames.size()) : frames.size();
@@ -368,24 +362,24 @@ std::vector<std::size_t> select_frames(const Log& sequence, int max_scans) {
 
 }  // namespace
 
-void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
+void read_scans(Log& log, const ScanLayout& layout, const ScanProvider& scan_provider,
                 const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
-    ScanReader reader(sequence, layout, scan_provider, options, broken);
+    ScanReader reader(log, layout, scan_provider, options, broken);
     reader.plan_lidars();
-    const std::vector<std::size_t> frames = select_frames(sequence, options.max_scans);
+    const std::vector<std::size_t> frames = select_frames(log, options.max_scans);
     progress_for(frames.size(), options.progress, "reading scans", [&](std::size_t index) {
         // guard() records an error of the frame, or throws it without skip_broken.
         broken.guard(frames[index], [&] { reader.read_frame_scan(frames[index]); });
     });
-    note_skipped_points(sequence, layout, reader.counts());
-    broken.remove_broken(sequence);
+    note_skipped_points(log, layout, reader.counts());
+    broken.remove_broken(log);
 }
 
-void read_scan_files(Log& sequence, const ScanLayout& layout, PointFileUnits units,
+void read_scan_files(Log& log, const ScanLayout& layout, PointFileUnits units,
                      const std::vector<fs::path>& scan_files, const DatasetOptions& options) {
-    fill_units(units, scan_files, sequence.notes);
-    read_scans(sequence, layout, FolderScans(sequence, layout, units, scan_files), options);
+    fill_units(units, scan_files, log.notes);
+    read_scans(log, layout, FolderScans(log, layout, units, scan_files), options);
 }
 
 }  // namespace relidar::read

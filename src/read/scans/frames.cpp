@@ -29,21 +29,21 @@ Pose make_pose(std::span<const double> matrix, const std::string& place) {
     return make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, place);
 }
 
-Frame& add_frame(Log& sequence, int number, double time_s, const Pose& world_from_vehicle, int lidar) {
-    PoseTrack& track = sequence.world_from_vehicle;
+Frame& add_frame(Log& log, int number, double time_s, const Pose& world_from_vehicle, int lidar) {
+    PoseTrack& track = log.world_from_vehicle;
     if (track.time_s.empty() || track.time_s.back() != time_s) track.append(time_s, world_from_vehicle);
-    return sequence.frames.emplace_back(Frame{number, time_s, {}, lidar});
+    return log.frames.emplace_back(Frame{number, time_s, {}, lidar});
 }
 
-void centre_log(Log& sequence) {
-    const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
-    if (!poses.empty()) centre_log(sequence, poses[poses.size() / 2].translation);
+void centre_log(Log& log) {
+    const std::vector<Pose>& poses = log.world_from_vehicle.pose;
+    if (!poses.empty()) centre_log(log, poses[poses.size() / 2].translation);
 }
 
-void centre_log(Log& sequence, glm::dvec3 new_origin_m) {
-    sequence.world_offset_m += new_origin_m;
-    for (Pose& pose : sequence.world_from_vehicle.pose) pose.translation -= new_origin_m;
-    for (BoxTrack& box : sequence.boxes)
+void centre_log(Log& log, glm::dvec3 new_origin_m) {
+    log.world_offset_m += new_origin_m;
+    for (Pose& pose : log.world_from_vehicle.pose) pose.translation -= new_origin_m;
+    for (BoxTrack& box : log.boxes)
         for (Pose& pose : box.world_from_box.pose) pose.translation -= new_origin_m;
 }
 

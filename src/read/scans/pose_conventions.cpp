@@ -46,8 +46,8 @@ double mean_upright(const PoseTrack& track) {
 constexpr std::size_t kScanPairs = 5;  // number of pairs of scans that are compared
 
 /// Returns the points of a scan in the vehicle frame.
-std::vector<glm::vec3> vehicle_points(const Log& sequence, const Frame& frame) {
-    const Pose& mounting = sequence.lidar_of(frame).vehicle_from_sensor;
+std::vector<glm::vec3> vehicle_points(const Log& log, const Frame& frame) {
+    const Pose& mounting = log.lidar_of(frame).vehicle_from_sensor;
     const RayTable& rays = frame.scan.rays;
     std::vector<glm::vec3> points_m;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
@@ -57,16 +57,16 @@ std::vector<glm::vec3> vehicle_points(const Log& sequence, const Frame& frame) {
 }
 
 /// Selects pairs of consecutive scans of the first LiDAR, evenly spread over the log.
-ScanPairs collect_pairs(const Log& sequence) {
+ScanPairs collect_pairs(const Log& log) {
     std::vector<const Frame*> frames;
-    for (const Frame& frame : sequence.frames)
+    for (const Frame& frame : log.frames)
         if (frame.lidar == 0 && frame.scan.count_returns() > 0) frames.push_back(&frame);
     ScanPairs pairs;
     const std::size_t n = frames.empty() ? 0 : std::min(kScanPairs, frames.size() - 1);
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t i = k * (frames.size() - 1) / n;
-        pairs.add_scan_pair(frames[i]->time_s, vehicle_points(sequence, *frames[i]), frames[i + 1]->time_s,
-                            vehicle_points(sequence, *frames[i + 1]));
+        pairs.add_scan_pair(frames[i]->time_s, vehicle_points(log, *frames[i]), frames[i + 1]->time_s,
+                            vehicle_points(log, *frames[i + 1]));
     }
     return pairs;
 }
@@ -213,34 +213,34 @@ std::size_t choose_poses(const std::vector<PoseReading>& interpretations,
     return choice.best;
 }
 
-void fix_inverted_poses(Log& sequence) {
-    if (!sequence.has_poses) return;
-    PoseTrack stored_poses = sequence.world_from_vehicle;  // as in the file, before centre_log()
-    for (Pose& pose : stored_poses.pose) pose.translation += sequence.world_offset_m;
+void fix_inverted_poses(Log& log) {
+    if (!log.has_poses) return;
+    PoseTrack stored_poses = log.world_from_vehicle;  // as in the file, before centre_log()
+    for (Pose& pose : stored_poses.pose) pose.translation += log.world_offset_m;
     std::vector<PoseReading> readings = {{.name = "world-from-sensor poses",  // assumed by the reader
-                                          .world_from_vehicle = sequence.world_from_vehicle},
+                                          .world_from_vehicle = log.world_from_vehicle},
                                          {.name = "sensor-from-world poses",
                                           .world_from_vehicle = convert_poses(stored_poses, inverse),
                                           .needs_scans = true}};
     // If the reader could not decide the order of the quaternions, it assumed w x y z and
     // left a note. The scans now decide the order, too.
-    const auto undecided = std::ranges::find(sequence.notes, kQuaternionOrder, &Note::id);
-    if (undecided != sequence.notes.end()) {
+    const auto undecided = std::ranges::find(log.notes, kQuaternionOrder, &Note::id);
+    if (undecided != log.notes.end()) {
         readings[0].name = kScalarFirst;
         readings.push_back({kScalarLast, convert_poses(stored_poses, read_scalar_last)});
-        sequence.notes.erase(undecided);
+        log.notes.erase(undecided);
     }
-    const auto read_pairs = [&] { return collect_pairs(sequence); };
+    const auto read_pairs = [&] { return collect_pairs(log); };
     Notes notes;
-    const std::size_t best = choose_poses(readings, read_pairs, sequence.source, notes);
+    const std::size_t best = choose_poses(readings, read_pairs, log.source, notes);
     // Without their ids, the notes do not say again that the order is undecided.
-    for (const Note& note : notes) sequence.notes.push_back(note.text);
+    for (const Note& note : notes) log.notes.push_back(note.text);
     if (best == 0) return;
     // The other readings are not centred.
-    set_trajectory(sequence, readings[best].world_from_vehicle);
-    sequence.world_offset_m = glm::dvec3(0.0);
-    sequence.georeference.reset();
-    centre_log(sequence);
+    set_trajectory(log, readings[best].world_from_vehicle);
+    log.world_offset_m = glm::dvec3(0.0);
+    log.georeference.reset();
+    centre_log(log);
 }
 
 }  // namespace relidar::read

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/read/points.hpp>
 
 namespace relidar::read {
@@ -58,6 +58,6 @@ std::size_t choose_poses(const std::vector<PoseReading>& interpretations,
 /// Inverts the poses of a log, with a note, if the vehicle then drives forward and
 /// consecutive scans overlap better. Also decides the order of the quaternions if the
 /// reader could not. The log must contain the scans.
-void fix_inverted_poses(Log& sequence);
+void fix_inverted_poses(Log& log);
 
 }  // namespace relidar::read

@@ -14,19 +14,19 @@ constexpr double kMaxSkippedShare = 0.1;
 // If scans are farther apart, the check "time_unit" reports a wrong unit of their times.
 constexpr double kMaxFrameStep_s = 20.0;
 
-void add_lidar_note(Log& sequence, int lidar_index, const std::string& text) {
-    const std::string& name = sequence.lidars[std::size_t(lidar_index)].name;
-    sequence.notes.push_back({"", lidar_index, name.empty() ? text : "LiDAR '" + name + "': " + text});
+void add_lidar_note(Log& log, int lidar_index, const std::string& text) {
+    const std::string& name = log.lidars[std::size_t(lidar_index)].name;
+    log.notes.push_back({"", lidar_index, name.empty() ? text : "LiDAR '" + name + "': " + text});
 }
 
 /// Adds a note if points of a LiDAR are skipped because their ray has a nearer point. If
 /// they are many, the note names the usual cause.
 /// @param counts  [frames] `first` includes the skipped points
-void note_occupied_rays(Log& sequence, const ScanLayout& layout, int lidar_index,
+void note_occupied_rays(Log& log, const ScanLayout& layout, int lidar_index,
                         const std::vector<PointCounts>& counts) {
     std::size_t n_skipped = 0, n_all = 0;
     for (std::size_t i = 0; i < counts.size(); ++i) {
-        if (sequence.frames[i].lidar != lidar_index) continue;
+        if (log.frames[i].lidar != lidar_index) continue;
         n_skipped += counts[i].behind;
         n_all += counts[i].first;
     }
@@ -39,7 +39,7 @@ void note_occupied_rays(Log& sequence, const ScanLayout& layout, int lidar_index
                                       "these points"
                                     : "; the usual cause is several returns of each ray without numbers";
     }
-    add_lidar_note(sequence, lidar_index,
+    add_lidar_note(log, lidar_index,
                    fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has a nearer "
                                "point and no neighbouring ray is free{}",
                                n_skipped, n_all, 100.0 * double(n_skipped) / double(n_all), cause));
@@ -67,10 +67,10 @@ std::string describe_assignment(const ScanPlan& plan, bool is_described) {
 
 }  // namespace
 
-void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const ScanPlan& plan,
+void note_plan(Log& log, const ScanLayout& layout, int lidar_index, const ScanPlan& plan,
                const std::vector<LidarPoints>& samples) {
     const auto add = [&](const std::string& text) {
-        if (!text.empty()) add_lidar_note(sequence, lidar_index, text);
+        if (!text.empty()) add_lidar_note(log, lidar_index, text);
     };
     if (samples.empty()) add("no scan has a point with finite coordinates and a plausible time");
     add(describe_assignment(plan, layout.is_described));
@@ -84,7 +84,7 @@ void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const S
             fmt::format("the points have no times; relidar computes them from the azimuths and assumes that "
                         "a sweep takes {:.3g} s and that the head faces forward at the time of the frame",
                         plan.sensor.period_s));
-    const std::optional<double> step_s = median_step_s(sequence, lidar_index);
+    const std::optional<double> step_s = median_step_s(log, lidar_index);
     if (!layout.motion_compensated && step_s && *step_s <= kMaxFrameStep_s)
         add(describe_span(samples, *step_s));
     if (plan.firings) add(describe_recovery(plan.firings->recovery));
@@ -102,7 +102,7 @@ void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const S
                         *plan.moved_to_s));
 }
 
-void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vector<PointCounts>& counts) {
+void note_skipped_points(Log& log, const ScanLayout& layout, const std::vector<PointCounts>& counts) {
     std::size_t n_without_beam = 0, n_late = 0, n_late_scans = 0, latest_frame = 0;
     for (std::size_t i = 0; i < counts.size(); ++i) {
         n_without_beam += counts[i].without_beam;
@@ -111,14 +111,14 @@ void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vec
         if (counts[i].late > counts[latest_frame].late) latest_frame = i;
     }
     if (n_without_beam > 0)
-        sequence.notes.push_back(fmt::format(
+        log.notes.push_back(fmt::format(
             "{} points are skipped, because the fitted sensor has no beam for their rings", n_without_beam));
     if (n_late > 0)
-        sequence.notes.push_back(
+        log.notes.push_back(
             fmt::format("{} points of {} scans are skipped, because their times are outside the sweep of "
                         "their scan, most of them in frame {}",
-                        n_late, n_late_scans, sequence.frames[latest_frame].index));
-    for (int l = 0; l < std::ssize(sequence.lidars); ++l) note_occupied_rays(sequence, layout, l, counts);
+                        n_late, n_late_scans, log.frames[latest_frame].index));
+    for (int l = 0; l < std::ssize(log.lidars); ++l) note_occupied_rays(log, layout, l, counts);
 }
 
 }  // namespace relidar::read

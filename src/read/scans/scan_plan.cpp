@@ -114,10 +114,10 @@ TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double swee
     return {longest_offset_s, middle_time_s(samples, longest_offset_s)};
 }
 
-std::optional<double> median_step_s(const Log& sequence, int lidar_index) {
+std::optional<double> median_step_s(const Log& log, int lidar_index) {
     std::vector<double> steps_s;
     std::optional<double> before_s;  // time of the frame before
-    for (const Frame& frame : sequence.frames) {
+    for (const Frame& frame : log.frames) {
         if (frame.lidar != lidar_index) continue;
         if (before_s && frame.time_s > *before_s) steps_s.push_back(frame.time_s - *before_s);
         before_s = frame.time_s;
@@ -125,8 +125,8 @@ std::optional<double> median_step_s(const Log& sequence, int lidar_index) {
     return steps_s.empty() ? std::nullopt : std::optional(compute_median(std::move(steps_s)));
 }
 
-double estimate_sweep_s(const Log& sequence, int lidar_index) {
-    const double step_s = median_step_s(sequence, lidar_index).value_or(kUsualPeriod_s);
+double estimate_sweep_s(const Log& log, int lidar_index) {
+    const double step_s = median_step_s(log, lidar_index).value_or(kUsualPeriod_s);
     return step_s > kLongestPeriod_s ? step_s / std::round(step_s / kUsualPeriod_s) : step_s;
 }
 

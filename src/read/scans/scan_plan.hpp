@@ -101,10 +101,10 @@ struct ScanPlan {
 TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s);
 
 /// Returns the median time between the frames of a LiDAR, or nothing for a single frame.
-std::optional<double> median_step_s(const Log& sequence, int lidar);
+std::optional<double> median_step_s(const Log& log, int lidar);
 /// Returns the duration of a revolution: the median time between frames, divided by the
 /// number of revolutions if the log has only every n-th scan.
-double estimate_sweep_s(const Log& sequence, int lidar);
+double estimate_sweep_s(const Log& log, int lidar);
 
 /// Plans how points become rays. Estimates unknown beams from the points. Without beams,
 /// each point becomes a ray of a sensor that does not rotate (period 0).
@@ -122,10 +122,10 @@ struct PointCounts {
 };
 /// Adds notes for the user about the plan of a LiDAR.
 /// @param samples  points of some scans
-void note_plan(Log& sequence, const ScanLayout& layout, int lidar, const ScanPlan& plan,
+void note_plan(Log& log, const ScanLayout& layout, int lidar, const ScanPlan& plan,
                const std::vector<LidarPoints>& samples);
 /// Adds notes for the user about points that are skipped.
 /// @param counts  [frames]
-void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vector<PointCounts>& counts);
+void note_skipped_points(Log& log, const ScanLayout& layout, const std::vector<PointCounts>& counts);
 
 }  // namespace relidar::read

@@ -62,29 +62,30 @@ PoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n, con
 
 /// Returns the interpolated pose at a time. Returns nothing near the ends of the poses,
 /// or in a gap between poses that is too long, except at its ends.
-std::optional<Pose> find_pose(const StampedLog& log, double time_s) {
-    const PoseTrack& track = log.world_from_vehicle;
-    if (!track.contains_time(time_s - log.pose_margin_s) || !track.contains_time(time_s + log.pose_margin_s))
+std::optional<Pose> find_pose(const StampedLog& stamped, double time_s) {
+    const PoseTrack& track = stamped.world_from_vehicle;
+    if (!track.contains_time(time_s - stamped.pose_margin_s) ||
+        !track.contains_time(time_s + stamped.pose_margin_s))
         return std::nullopt;
     const TrackInterpolation between = track.find_segment(time_s);
     const bool is_at_pose = between.s < kSameTime || between.s > 1.0 - kSameTime;
     if (is_at_pose) return track.pose_at(time_s);
     const double gap_s = track.time_s[between.left + 1] - track.time_s[between.left];
-    return gap_s > log.most_gap_s ? std::nullopt : std::optional(track.pose_at(time_s));
+    return gap_s > stamped.most_gap_s ? std::nullopt : std::optional(track.pose_at(time_s));
 }
 
 /// Reads point files in relidar's axes. Adds missing values such as rings.
 class StampedScans : public ScanProvider {
 public:
-    StampedScans(const Log& sequence, const std::vector<fs::path>& files, const FileFormat& format)
-        : sequence_(sequence), files_(files), format_(format) {}
+    StampedScans(const Log& log, const std::vector<fs::path>& files, const FileFormat& format)
+        : log_(log), files_(files), format_(format) {}
 
     std::string frame_name(std::size_t index) const override { return files_[index].string(); }
     LidarPoints read_points(std::size_t index) const override {
         PointTable table = read_point_file(files_[index], format_.units.columns);
         if (format_.complete) format_.complete(table, frame_name(index));
         LidarPoints points =
-            convert_table(table, format_.units, sequence_.frames[index].time_s, frame_name(index));
+            convert_table(table, format_.units, log_.frames[index].time_s, frame_name(index));
         // Rotates the points about z, from the axes of the files to relidar's axes.
         const double c = std::cos(format_.turned_rad), s = std::sin(format_.turned_rad);
         for (glm::vec3& p : points.position_m) {
@@ -96,7 +97,7 @@ public:
     }
 
 private:
-    const Log& sequence_;
+    const Log& log_;
     const std::vector<fs::path>& files_;
     const FileFormat& format_;
 };
@@ -180,21 +181,21 @@ std::optional<SpinningSensor> fit_nominal(const StampedScans& source, std::size_
 /// Adds a note about scans that are skipped because they have no pose.
 /// @param without_pose  at least one scan
 /// @throws DataError if no scan has a pose
-void note_without_pose(Log& sequence, const StampedLog& log,
+void note_without_pose(Log& log, const StampedLog& stamped,
                        const std::vector<const StampedScanFile*>& without_pose, std::size_t n_with_pose) {
     const StampedScanFile &first = *without_pose.front(), &last = *without_pose.back();
-    const PoseTrack& poses = log.world_from_vehicle;
+    const PoseTrack& poses = stamped.world_from_vehicle;
     if (n_with_pose == 0)
         fail(
             "{}: found poses from {:.3f} to {:.3f} s, expected poses near the times of frames {} to {}, "
             "which are {:.3f} to {:.3f} s",
-            log.poses_file.string(), poses.time_s.front(), poses.time_s.back(), first.number, last.number,
-            log.seconds_of(first.stamp), log.seconds_of(last.stamp));
-    sequence.notes.push_back(
+            stamped.poses_file.string(), poses.time_s.front(), poses.time_s.back(), first.number, last.number,
+            stamped.seconds_of(first.stamp), stamped.seconds_of(last.stamp));
+    log.notes.push_back(
         fmt::format("{} of {} scans are skipped (the first is frame {}, the last frame {}), because {} "
                     "has no poses near their times",
                     without_pose.size(), without_pose.size() + n_with_pose, first.number, last.number,
-                    log.poses_file.filename().string()));
+                    stamped.poses_file.filename().string()));
 }
 
 }  // namespace
@@ -285,28 +286,29 @@ void note_driving(Notes& notes, double forward_fraction) {
             forward_fraction));
 }
 
-std::vector<fs::path> add_frames(Log& sequence, const StampedLog& log, const DatasetOptions& options) {
+std::vector<fs::path> add_frames(Log& log, const StampedLog& stamped, const DatasetOptions& options) {
     const FrameRange& range = options.frames;
     std::vector<fs::path> files;
     std::vector<const StampedScanFile*> without_pose;
-    for (const StampedScanFile& scan : log.scans) {
+    for (const StampedScanFile& scan : stamped.scans) {
         if (!range.contains(scan.number)) continue;
-        const double time_s = log.seconds_of(scan.stamp);
+        const double time_s = stamped.seconds_of(scan.stamp);
         // The user's poses are set by replace_poses() below.
-        const std::optional<Pose> pose = options.poses_file.empty() ? find_pose(log, time_s) : Pose{};
+        const std::optional<Pose> pose = options.poses_file.empty() ? find_pose(stamped, time_s) : Pose{};
         if (pose) {
-            add_frame(sequence, scan.number, time_s, *pose);
+            add_frame(log, scan.number, time_s, *pose);
             files.push_back(scan.file);
         } else {
             without_pose.push_back(&scan);
         }
     }
     if (files.empty() && without_pose.empty())
-        fail_empty_range(range, sequence.name, log.scans.front().number, log.scans.back().number);
-    if (!without_pose.empty()) note_without_pose(sequence, log, without_pose, files.size());
-    set_log_start(sequence, log.scans[0].stamp * std::llround(1e9 * log.unit_s), "on the clock of the files");
-    kitti::replace_poses(sequence, options.poses_file);
-    centre_log(sequence);
+        fail_empty_range(range, log.name, stamped.scans.front().number, stamped.scans.back().number);
+    if (!without_pose.empty()) note_without_pose(log, stamped, without_pose, files.size());
+    set_log_start(log, stamped.scans[0].stamp * std::llround(1e9 * stamped.unit_s),
+                  "on the clock of the files");
+    kitti::replace_poses(log, options.poses_file);
+    centre_log(log);
     return files;
 }
 
@@ -316,19 +318,19 @@ void check_pose_source(const fs::path& pose_file, const DatasetOptions& options)
          pose_file.string());
 }
 
-void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, FileFormat format,
+void read_frame_scans(Log& log, const std::vector<fs::path>& scan_files, FileFormat format,
                       const DatasetOptions& options) {
     ScanLayout layout{.lidars = {{.sweep_duration_s = format.sweep_duration_s}}};
     if (!format.beams.empty()) {
         std::optional<SpinningSensor> fitted =
-            fit_nominal(StampedScans(sequence, scan_files, format), scan_files.size(), format);
+            fit_nominal(StampedScans(log, scan_files, format), scan_files.size(), format);
         if (fitted) {
-            SpinningSensor& sensor = sequence.lidars[0].sensor;
+            SpinningSensor& sensor = log.lidars[0].sensor;
             fitted->name = sensor.name;
             fitted->max_range_m = sensor.max_range_m;
             sensor = std::move(*fitted);
             layout.lidars[0].has_beams = true;
-            sequence.notes.push_back(
+            log.notes.push_back(
                 fmt::format("a sensor with {} beams and {} columns was fitted to the points, which have no "
                             "rings; each point is assigned to the nominal beam with the nearest elevation",
                             sensor.beams.size(), sensor.columns));
@@ -336,16 +338,16 @@ void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, Fi
             format.beams.clear();  // The points come from another LiDAR and get no rings.
         }
     }
-    read_scans(sequence, layout, StampedScans(sequence, scan_files, format), options);
+    read_scans(log, layout, StampedScans(log, scan_files, format), options);
 }
 
-void set_intensity_max(FileFormat& format, Log& sequence, const std::vector<fs::path>& scan_files) {
+void set_intensity_max(FileFormat& format, Log& log, const std::vector<fs::path>& scan_files) {
     std::vector<PointTable> samples;
     read_samples(scan_files.size(),
                  [&](std::size_t i) { samples.push_back(read_point_file(scan_files[i], {})); });
     const IntensityScale scale = interpret_fields(samples).scale;
     format.units.intensity_max = scale.max;
-    if (!scale.note.empty()) sequence.notes.push_back(scale.note);
+    if (!scale.note.empty()) log.notes.push_back(scale.note);
 }
 
 }  // namespace relidar::read

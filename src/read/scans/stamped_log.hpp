@@ -77,7 +77,7 @@ struct StampedLog {
 /// @return files of the scans
 /// @throws UsageError if the range contains no scan
 /// @throws DataError if no scan in the range has a pose
-std::vector<std::filesystem::path> add_frames(Log& sequence, const StampedLog& log,
+std::vector<std::filesystem::path> add_frames(Log& log, const StampedLog& stamped,
                                               const DatasetOptions& options);
 
 /// Checks that the log has a pose file, or that the user selects another source of poses.
@@ -100,12 +100,11 @@ struct FileFormat {
 };
 /// Reads the scans of all frames. Fits the beams of the sensor to the points.
 /// @param scan_files  [frames] scan file of each frame
-void read_frame_scans(Log& sequence, const std::vector<std::filesystem::path>& scan_files, FileFormat format,
+void read_frame_scans(Log& log, const std::vector<std::filesystem::path>& scan_files, FileFormat format,
                       const DatasetOptions& options);
 
 /// Estimates from some of the files which intensity becomes 1. Sets it in the format.
 /// Skips unreadable files. Adds a note unless the scale is 0 to 1.
-void set_intensity_max(FileFormat& format, Log& sequence,
-                       const std::vector<std::filesystem::path>& scan_files);
+void set_intensity_max(FileFormat& format, Log& log, const std::vector<std::filesystem::path>& scan_files);
 
 }  // namespace relidar::read

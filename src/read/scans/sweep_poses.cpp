@@ -23,8 +23,8 @@ constexpr double kLeverArm_m = 50.0;
 /// the poses of its frames: transforms from the true to the interpolated sensor frame.
 /// Times are relative to the frame.
 /// @param find_vehicle_pose  true poses, also between frames
-PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const PoseLookup& find_vehicle_pose) {
-    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
+PoseTrack pose_corrections_of(const Log& log, const Frame& frame, const PoseLookup& find_vehicle_pose) {
+    const Pose& mounted = log.lidar_of(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
     const int n = 1 + int(std::ceil(double(last - first) / kCorrectionStep_s));
     PoseTrack track;
@@ -35,7 +35,7 @@ PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const Pos
         // If all rays have the same time, all steps have it, too.
         const bool is_same_time = !track.time_s.empty() && offset_s <= track.time_s.back();
         if (!true_pose || is_same_time) continue;
-        const Pose interpolated_pose = sequence.world_from_vehicle.mounted_pose_at(time_s, mounted);
+        const Pose interpolated_pose = log.world_from_vehicle.mounted_pose_at(time_s, mounted);
         track.append(offset_s, inverse(interpolated_pose) * (*true_pose * mounted));
     }
     return track;
@@ -65,14 +65,14 @@ double move_rays(Frame& frame, const PoseTrack& pose_corrections) {
 
 }  // namespace
 
-std::string correct_rays(Log& sequence, const PoseLookup& find_vehicle_pose) {
-    if (!sequence.rolling_shutter) return "";
+std::string correct_rays(Log& log, const PoseLookup& find_vehicle_pose) {
+    if (!log.rolling_shutter) return "";
     // [frames] how far a point at kLeverArm_m moves; 0 if the frame is not changed
-    std::vector<double> moved_m(sequence.frames.size(), 0.0);
-    parallel_for(int(sequence.frames.size()), [&](int index) {
-        Frame& frame = sequence.frames[std::size_t(index)];
+    std::vector<double> moved_m(log.frames.size(), 0.0);
+    parallel_for(int(log.frames.size()), [&](int index) {
+        Frame& frame = log.frames[std::size_t(index)];
         if (frame.scan.rays.size() == 0) return;
-        const PoseTrack track = pose_corrections_of(sequence, frame, find_vehicle_pose);
+        const PoseTrack track = pose_corrections_of(log, frame, find_vehicle_pose);
         if (!track.pose.empty()) moved_m[std::size_t(index)] = move_rays(frame, track);
     });
     const auto n_moved = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });

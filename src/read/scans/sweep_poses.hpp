@@ -7,7 +7,7 @@
 #include <optional>
 #include <string>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar::read {
 
@@ -19,6 +19,6 @@ using PoseLookup = std::function<std::optional<Pose>(double)>;
 /// wrong by 5 cm. Sweeps with an error below a millimetre are not changed.
 /// @param find_vehicle_pose  vehicle pose by time, in the world frame of the log
 /// @return a note, or an empty string if no sweep was changed
-std::string correct_rays(Log& sequence, const PoseLookup& find_vehicle_pose);
+std::string correct_rays(Log& log, const PoseLookup& find_vehicle_pose);
 
 }  // namespace relidar::read

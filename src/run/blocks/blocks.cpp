@@ -24,19 +24,19 @@ constexpr double kMaxBoxDistance_m = 100.0;
 constexpr double kMaxActorDistance_m = 60.0;
 
 /// @return [frames] metres, world frame
-std::vector<glm::dvec3> list_positions(const Log& sequence) {
+std::vector<glm::dvec3> list_positions(const Log& log) {
     std::vector<glm::dvec3> positions_m;
-    for (const Frame& frame : sequence.frames)
-        positions_m.push_back(sequence.world_from_vehicle.pose_at(frame.time_s).translation);
+    for (const Frame& frame : log.frames)
+        positions_m.push_back(log.world_from_vehicle.pose_at(frame.time_s).translation);
     return positions_m;
 }
 
 /// Returns true if the box is within `max_distance_m` of the vehicle in a frame.
-bool is_near_box(const BoxTrack& box, const Log& sequence, int frame_index, double max_distance_m) {
-    const double time_s = sequence.frames[std::size_t(frame_index)].time_s;
+bool is_near_box(const BoxTrack& box, const Log& log, int frame_index, double max_distance_m) {
+    const double time_s = log.frames[std::size_t(frame_index)].time_s;
     return box.is_observed(time_s) &&
            glm::distance(box.world_from_box.pose_at(time_s).translation,
-                         sequence.world_from_vehicle.pose_at(time_s).translation) <= max_distance_m;
+                         log.world_from_vehicle.pose_at(time_s).translation) <= max_distance_m;
 }
 
 /// Divides the route into sections of equal length, and returns the frames in each
@@ -115,11 +115,11 @@ namespace {
 
 /// Returns the vehicle poses at the times of some frames, and the poses directly before
 /// and after each. These are needed to interpolate the motion during a sweep.
-PoseTrack cut_track(const Log& sequence, const std::vector<int>& frame_indices) {
-    const PoseTrack& all = sequence.world_from_vehicle;
+PoseTrack cut_track(const Log& log, const std::vector<int>& frame_indices) {
+    const PoseTrack& all = log.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
     for (const int frame : frame_indices) {
-        const double time_s = sequence.frames[std::size_t(frame)].time_s;
+        const double time_s = log.frames[std::size_t(frame)].time_s;
         const auto pose = std::size_t(std::ranges::lower_bound(all.time_s, time_s) - all.time_s.begin());
         const std::size_t first = pose > 0 ? pose - 1 : 0, last = std::min(pose + 1, is_used.size() - 1);
         for (std::size_t i = first; i <= last; ++i) is_used[i] = true;
@@ -147,30 +147,30 @@ void drop_missing_tracks(InitOptions& options, const std::vector<BoxTrack>& boxe
 /// Returns the part of the log that a block needs: its training frames, the held-out
 /// frames recorded in it, and the poses and boxes near these frames.
 /// @param config  settings of the complete training
-BlockTrainingLog cut_log(const Log& sequence, const Split& split, const TrajectoryBlock& block,
+BlockTrainingLog cut_log(const Log& log, const Split& split, const TrajectoryBlock& block,
                          const Config& config) {
     std::vector<int> frames = block.train;  // indices in the log
     for (const int frame : block.recorded_frames)
         if (std::ranges::find(split.test, frame) != split.test.end()) frames.push_back(frame);
     std::ranges::sort(frames);
-    BlockTrainingLog log{.sequence = strip_frames(sequence), .split = {}, .config = config};
-    Log& part = log.sequence;
-    part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
-    part.world_from_vehicle = cut_track(sequence, frames);
+    BlockTrainingLog block_log{.log = strip_frames(log), .split = {}, .config = config};
+    Log& part = block_log.log;
+    part.name = fmt::format("{}, metres {:.0f} to {:.0f}", log.name, block.begin_m, block.end_m);
+    part.world_from_vehicle = cut_track(log, frames);
     part.boxes.clear();
     for (const int frame : frames) {
         const bool is_trained = std::ranges::binary_search(block.train, frame);
-        std::vector<int>& part_split = is_trained ? log.split.train : log.split.test;
+        std::vector<int>& part_split = is_trained ? block_log.split.train : block_log.split.test;
         part_split.push_back(static_cast<int>(part.frames.size()));
-        part.frames.push_back(sequence.frames[std::size_t(frame)]);
+        part.frames.push_back(log.frames[std::size_t(frame)]);
     }
-    for (const BoxTrack& box : sequence.boxes)
-        if (std::ranges::any_of(
-                frames, [&](int frame) { return is_near_box(box, sequence, frame, kMaxBoxDistance_m); }))
+    for (const BoxTrack& box : log.boxes)
+        if (std::ranges::any_of(frames,
+                                [&](int frame) { return is_near_box(box, log, frame, kMaxBoxDistance_m); }))
             part.boxes.push_back(box);
-    log.config.blocks.length_m = 0.0;  // the part is not divided again
-    drop_missing_tracks(log.config.init, part.boxes);
-    return log;
+    block_log.config.blocks.length_m = 0.0;  // the part is not divided again
+    drop_missing_tracks(block_log.config.init, part.boxes);
+    return block_log;
 }
 
 namespace {
@@ -207,18 +207,18 @@ struct ActorModelCandidate {
 
 /// Adds the actors of a block to `best_actors`. If another block has trained the same
 /// actor, keeps the model with more training frames near this actor.
-void keep_best_models(const Run& block_run, const Log& full_sequence, const TrajectoryBlock& block,
+void keep_best_models(const Run& block_run, const Log& full_log, const TrajectoryBlock& block,
                       std::map<std::string, ActorModelCandidate>& best_actors) {
     for (const ModelInstance& instance : block_run.scene.instances) {
         if (instance.track.empty()) continue;
-        const BoxTrack* box = find_box(block_run.sequence, instance.track);
+        const BoxTrack* box = find_box(block_run.log, instance.track);
         if (!box)
             fail(
                 "{}: the trained scene has an actor with the track id \"{}\", but the log has no box with "
                 "this track id; expected the log that was used for training",
                 block_run.folder.string(), instance.track);
         const auto sightings = std::size_t(std::ranges::count_if(block.train, [&](int position) {
-            return is_near_box(*box, full_sequence, position, kMaxActorDistance_m);
+            return is_near_box(*box, full_log, position, kMaxActorDistance_m);
         }));
         ActorModelCandidate& candidate = best_actors[instance.track];
         // It has no surfels if no earlier block has trained this actor.
@@ -238,7 +238,7 @@ void copy_poses(const Run& part, const Log& log, const TrajectoryBlock& block, P
     };
     for (const int frame : block.recorded_frames) {
         const double time_s = log.frames[std::size_t(frame)].time_s;
-        const Pose* trained = find_pose(part.sequence.world_from_vehicle, time_s);
+        const Pose* trained = find_pose(part.log.world_from_vehicle, time_s);
         Pose* pose = find_pose(track, time_s);
         if (trained && pose) *pose = *trained;
     }
@@ -250,7 +250,7 @@ void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks, const std
     Scene scene = wrap_background({});
     std::size_t n_frames_with_drops = 0;
     std::map<std::string, ActorModelCandidate> actors;
-    PoseTrack poses = run.sequence.world_from_vehicle;
+    PoseTrack poses = run.log.world_from_vehicle;
     for (std::size_t k = 0; k < blocks.size(); ++k) {
         const Run part = load_run(folders[k]);
         scene.blocks.push_back(make_block(part.scene, folders[k] / kModelFile));
@@ -258,17 +258,17 @@ void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks, const std
             add_drop_table(scene.sensor_drop, part.scene.sensor_drop, blocks[k].train.size());
             n_frames_with_drops += blocks[k].train.size();
         }
-        keep_best_models(part, run.sequence, blocks[k], actors);
-        copy_poses(part, run.sequence, blocks[k], poses);
+        keep_best_models(part, run.log, blocks[k], actors);
+        copy_poses(part, run.log, blocks[k], poses);
         run.coverage.merge(part.coverage);
         merge_class_map(run.classes, part.classes);
         if (!part.refined_poses.empty()) run.refined_poses = part.refined_poses;
     }
     for (float& p : scene.sensor_drop.probability) p /= float(n_frames_with_drops);
-    run.sequence.world_from_vehicle = std::move(poses);
+    run.log.world_from_vehicle = std::move(poses);
     // Adds the actors in the order of the log's boxes. A scene that is trained without
     // blocks has the same order.
-    for (BoxTrack& box : run.sequence.boxes) {
+    for (BoxTrack& box : run.log.boxes) {
         const auto entry = actors.find(box.id);
         if (entry == actors.end()) continue;
         ActorModelCandidate& actor = entry->second;

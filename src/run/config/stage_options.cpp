@@ -10,9 +10,9 @@
 
 namespace relidar {
 
-Config with_max_range(Config config, const Log& sequence) {
+Config with_max_range(Config config, const Log& log) {
     if (config.dataset.max_range_m > 0.0) return config;
-    for (const Lidar& lidar : sequence.lidars)
+    for (const Lidar& lidar : log.lidars)
         config.dataset.max_range_m = std::max(config.dataset.max_range_m, lidar.sensor.max_range_m);
     return config;
 }
@@ -56,7 +56,7 @@ Log load_log(const Config& config, const Progress& progress, int max_scans) {
     options.waymo.clamp_intensity = config.dataset.waymo_intensity == "clamp";
     options.progress = progress;
     options.max_scans = max_scans;
-    return load_sequence(config.dataset.path, options);
+    return load_log(config.dataset.path, options);
 }
 
 }  // namespace relidar

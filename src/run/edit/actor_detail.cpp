@@ -38,7 +38,7 @@ ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
 /// LiDAR. Counts 0 rays at an infinite distance if it is in no frame of this LiDAR.
 /// @throws UsageError if the scene has no such actor
 ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar) {
-    const Log& log = edited.sequence;
+    const Log& log = edited.log;
     const auto instance = std::ranges::find(edited.scene.instances, track, &ModelInstance::track);
     const BoxTrack* box = find_box(log, track);
     if (instance == edited.scene.instances.end() || !box)

@@ -30,7 +30,7 @@ std::size_t find_instance(const SceneWithLogView& scene_and_log, const std::stri
         if (id == track_id) return i;
         actor_ids.push_back(id);
     }
-    if (find_box(scene_and_log.sequence, track_id)) {
+    if (find_box(scene_and_log.log, track_id)) {
         // The error suggests a setting that lists all current actors and this track.
         actor_ids.push_back(track_id);
         fail<UsageError>(
@@ -46,7 +46,7 @@ std::size_t find_instance(const SceneWithLogView& scene_and_log, const std::stri
 }
 
 SceneWithLogView view_of(const SceneWithLog& scene_and_log) {
-    return {scene_and_log.scene, scene_and_log.sequence};
+    return {scene_and_log.scene, scene_and_log.log};
 }
 
 BoxTrack& mutable_box(SceneWithLog& scene_and_log, const std::string& track_id) {
@@ -78,8 +78,7 @@ template <class Keep>
 void keep_actors(SceneWithLog& scene_and_log, const Keep& should_keep_track) {
     std::erase_if(scene_and_log.scene.instances, [&](const ModelInstance& instance) {
         if (instance.track.empty() || should_keep_track(instance.track)) return false;
-        std::erase_if(scene_and_log.sequence.boxes,
-                      [&](const BoxTrack& b) { return b.id == instance.track; });
+        std::erase_if(scene_and_log.log.boxes, [&](const BoxTrack& b) { return b.id == instance.track; });
         return true;
     });
     drop_unused_models(scene_and_log.scene);
@@ -87,19 +86,19 @@ void keep_actors(SceneWithLog& scene_and_log, const Keep& should_keep_track) {
 
 std::string make_track_id(const SceneWithLog& scene_and_log, const std::string& id_prefix) {
     int n = 1;
-    while (find_box(scene_and_log.sequence, fmt::format("{}-{}", id_prefix, n))) ++n;
+    while (find_box(scene_and_log.log, fmt::format("{}-{}", id_prefix, n))) ++n;
     return fmt::format("{}-{}", id_prefix, n);
 }
 
 /// Returns a track straight ahead at constant speed, with a pose per sweep of the log.
-PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) {
+PoseTrack make_straight_track(const Log& log, const NewActorMotion& start) {
     PoseTrack track;
-    const std::vector<double> times_s = list_sweep_times_s(sequence);
+    const std::vector<double> times_s = list_sweep_times_s(log);
     for (const double time_s : times_s) {
         const double driven_m = start.speed_mps * (time_s - times_s.front());
         Pose pose = start.dataset_from_box;
         // world of the log = world of the dataset - world_offset_m
-        pose.translation += pose.rotation * glm::dvec3(driven_m, 0.0, 0.0) - sequence.world_offset_m;
+        pose.translation += pose.rotation * glm::dvec3(driven_m, 0.0, 0.0) - log.world_offset_m;
         track.append(time_s, pose);
     }
     return track;
@@ -208,19 +207,19 @@ bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
 
 void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const NewActorMotion& start) {
     box.world_from_box = start.dataset_path.pose.empty()
-                             ? make_straight_track(edited.sequence, start)
-                             : shift_track(start.dataset_path, -edited.sequence.world_offset_m);
+                             ? make_straight_track(edited.log, start)
+                             : shift_track(start.dataset_path, -edited.log.world_offset_m);
     check_finite_poses(box.world_from_box, box.id);
     box.n_before = box.n_after = 0;
     edited.scene.instances.push_back({model, box.id});
-    edited.sequence.boxes.push_back(std::move(box));
+    edited.log.boxes.push_back(std::move(box));
 }
 
 }  // namespace
 
 const BoxTrack& find_actor_box(const SceneWithLogView& scene_and_log, const std::string& track_id) {
     find_instance(scene_and_log, track_id);  // throws if the scene has no such actor
-    if (const BoxTrack* box = find_box(scene_and_log.sequence, track_id)) return *box;
+    if (const BoxTrack* box = find_box(scene_and_log.log, track_id)) return *box;
     fail(
         "cannot edit track \"{}\": the trained scene has this actor, but the log has no box with this track "
         "id; expected the log that was used for training",
@@ -264,7 +263,7 @@ SceneWithLog move_track(SceneWithLog edited, const std::string& track, const Pos
 SceneWithLog classify_track(SceneWithLog edited, const std::string& track, const std::string& category) {
     if (category.empty())
         fail<UsageError>("cannot set the class of track \"{}\": found an empty name", track);
-    std::vector<BoxTrack>& boxes = edited.sequence.boxes;
+    std::vector<BoxTrack>& boxes = edited.log.boxes;
     const auto box = std::ranges::find(boxes, track, &BoxTrack::id);
     (box == boxes.end() ? mutable_box(edited, track) : *box).category = category;
     return edited;
@@ -294,7 +293,7 @@ std::vector<std::string> list_changed_tracks(const SceneWithLogView& edited,
                                              const std::vector<BoxTrack>& boxes_before) {
     std::vector<std::string> changed;
     for (const ModelInstance& instance : edited.scene.instances) {
-        const BoxTrack* box = find_box(edited.sequence, instance.track);
+        const BoxTrack* box = find_box(edited.log, instance.track);
         const auto original = std::ranges::find(boxes_before, instance.track, &BoxTrack::id);
         if (box &&
             (original == boxes_before.end() || !is_same_track(box->world_from_box, original->world_from_box)))
@@ -305,7 +304,7 @@ std::vector<std::string> list_changed_tracks(const SceneWithLogView& edited,
 
 SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
     std::set<std::string> changed;  // ids of tracks that were moved or added
-    for (BoxTrack& box : scene_and_log.sequence.boxes) {
+    for (BoxTrack& box : scene_and_log.log.boxes) {
         const auto before = std::ranges::find(boxes_before, box.id, &BoxTrack::id);
         if (before == boxes_before.end() || !is_same_track(box.world_from_box, before->world_from_box))
             changed.insert(box.id);
@@ -324,12 +323,12 @@ SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTr
     return scene_and_log;
 }
 
-std::string describe_absence(const BoxTrack& original_box, const Log& edited_sequence) {
-    const BoxTrack* box = find_box(edited_sequence, original_box.id);
+std::string describe_absence(const BoxTrack& original_box, const Log& edited_log) {
+    const BoxTrack* box = find_box(edited_log, original_box.id);
     // Numbers of the frames in which the actor is missing after the edit. It is a set,
     // because LiDARs that sweep at the same time share a frame number.
     std::set<int> lost;
-    for (const Frame& frame : edited_sequence.frames)
+    for (const Frame& frame : edited_log.frames)
         if (box && original_box.is_observed(frame.time_s) && !box->is_observed(frame.time_s))
             lost.insert(frame.index);
     if (lost.empty()) return "";
@@ -343,15 +342,14 @@ std::string describe_absence(const BoxTrack& original_box, const Log& edited_seq
 SceneWithLog replace_track(SceneWithLog edited, const std::string& track, const PoseTrack& dataset_from_box) {
     BoxTrack& box = mutable_box(edited, track);
     check_trajectory(dataset_from_box, track);
-    const double step_s = std::max(edited.sequence.lidars[0].sweep_period_s(), 1e-3);
+    const double step_s = std::max(edited.log.lidars[0].sweep_period_s(), 1e-3);
     const double span_s = dataset_from_box.time_s.back() - dataset_from_box.time_s.front();
     if (span_s > kMaxTrackSteps * step_s)
         fail_trajectory(track, fmt::format("times over {} s", span_s),
                         fmt::format("at most {} s", kMaxTrackSteps * step_s));
     box.n_before = box.n_after = 0;
     // coordinates in the log = coordinates in the dataset - world_offset_m
-    box.world_from_box =
-        densify_track(shift_track(dataset_from_box, -edited.sequence.world_offset_m), step_s);
+    box.world_from_box = densify_track(shift_track(dataset_from_box, -edited.log.world_offset_m), step_s);
     return edited;
 }
 
@@ -367,7 +365,7 @@ SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, co
 SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
                           const std::string& track, const NewActorMotion& start) {
     BoxTrack box = find_actor_box(view_of(source_scene), track);
-    const bool is_id_used = find_box(scene_and_log.sequence, box.id) != nullptr;
+    const bool is_id_used = find_box(scene_and_log.log, box.id) != nullptr;
     if (is_id_used) box.id = make_track_id(scene_and_log, track + "-insert");
     const std::size_t instance = find_instance(view_of(source_scene), track);
     const std::uint32_t source_model = source_scene.scene.instances[instance].model;

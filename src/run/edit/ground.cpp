@@ -103,9 +103,9 @@ glm::dvec3 surfel_normal(const glm::vec4& rotation_wxyz) {
 class HorizontalSurfels {
 public:
     HorizontalSurfels(const SceneWithLogView& driving, const std::vector<glm::dvec2>& positions_xy)
-        : sensor_track_(driving.sequence.lidar_track(0)) {
+        : sensor_track_(driving.log.lidar_track(0)) {
         // The poses of an object that stands still are nearly equal.
-        for (const BoxTrack& box : driving.sequence.boxes)
+        for (const BoxTrack& box : driving.log.boxes)
             if (!box.world_from_box.pose.empty() && !box.is_moving())
                 standing_.push_back(
                     {inverse(box.world_from_box.pose[box.world_from_box.pose.size() / 2]), 0.5 * box.size_m});
@@ -257,10 +257,10 @@ struct BoxPose {
 
 /// Returns the box that covers a position in the x-y plane at any time of the log, and
 /// its pose there. Of several poses, returns the one whose centre is nearest.
-std::optional<BoxPose> find_covering_box(const glm::dvec2& position_m, const Log& sequence) {
+std::optional<BoxPose> find_covering_box(const glm::dvec2& position_m, const Log& log) {
     std::optional<BoxPose> nearest;
     double nearest_m = std::numeric_limits<double>::infinity();
-    for (const BoxTrack& box : sequence.boxes)
+    for (const BoxTrack& box : log.boxes)
         for (const Pose& pose : box.world_from_box.pose) {
             const double distance_m = glm::distance(glm::dvec2(pose.translation), position_m);
             const Footprint footprint{pose.translation, heading_rad(pose), 0.5 * glm::dvec2(box.size_m)};
@@ -356,7 +356,7 @@ public:
     /// Returns the ground below each point of a path. Searches from the log's vehicle to
     /// the first point, and then along the path.
     std::vector<PathGround> follow_path(const std::vector<PathPoint>& path, const glm::dvec3& size_m) const {
-        const Pose& vehicle = nearest_pose(target_.sequence.lidar_track(0), path.front().position_m);
+        const Pose& vehicle = nearest_pose(target_.log.lidar_track(0), path.front().position_m);
         const auto [points, index] =
             subdivide_path({glm::dvec2(vehicle.translation), heading_rad(vehicle)}, path);
         std::vector<PathGround> ground;
@@ -401,14 +401,14 @@ private:
                                                   const std::vector<PathPoint>& path) {
         std::vector<glm::dvec2> positions;
         for (const PathPoint& point : path) positions.push_back(point.position_m);
-        positions.emplace_back(nearest_pose(target.sequence.lidar_track(0), positions.front()).translation);
+        positions.emplace_back(nearest_pose(target.log.lidar_track(0), positions.front()).translation);
         return positions;
     }
 
     /// Returns the plane on which the actor at a position stands, because it hides the
     /// road from the sensor. Returns nothing if no box covers the position at any time.
     std::optional<GroundPlane> ground_below_box(const glm::dvec2& position_m) const {
-        const std::optional<BoxPose> covering = find_covering_box(position_m, target_.sequence);
+        const std::optional<BoxPose> covering = find_covering_box(position_m, target_.log);
         if (!covering) return {};
         const auto& [box, world_from_box] = *covering;
         const glm::dvec3 up = world_from_box.rotation * glm::dvec3(0.0, 0.0, 1.0);
@@ -461,7 +461,7 @@ NewActorMotion place_path(const SceneWithLogView& target_scene, const PoseTrack&
                           std::optional<double> clearance_m, const SceneWithLogView& actor_scene,
                           const std::string& actor_track) {
     const BoxTrack& box = find_actor_box(actor_scene, actor_track);
-    const glm::dvec3 offset_m = target_scene.sequence.world_offset_m;
+    const glm::dvec3 offset_m = target_scene.log.world_offset_m;
     // In the world frame of the log: that of the dataset minus `offset_m`.
     const std::vector<PathPoint> points = list_path_points(path, offset_m);
     const GroundFinder finder(target_scene, points);
@@ -501,7 +501,7 @@ std::optional<double> ground_clearance(const SceneWithLogView& actor_scene, cons
 std::vector<std::optional<double>> heights_above_ground(const SceneWithLogView& scene,
                                                         const PoseTrack& dataset_path,
                                                         const glm::dvec3& size_m) {
-    const glm::dvec3 offset_m = scene.sequence.world_offset_m;
+    const glm::dvec3 offset_m = scene.log.world_offset_m;
     std::vector<std::optional<double>> heights_m(dataset_path.pose.size());
     if (heights_m.empty()) return heights_m;
     const std::vector<PathPoint> points = list_path_points(dataset_path, offset_m);
@@ -518,21 +518,21 @@ std::vector<std::optional<double>> heights_above_ground(const SceneWithLogView& 
 NewActorMotion follow_ground(const SceneWithLogView& target_scene, const PoseTrack& dataset_path,
                              std::optional<double> clearance_m, const SceneWithLogView& actor_scene,
                              const std::string& actor_track) {
-    const double step_s = std::max(target_scene.sequence.lidars[0].sweep_period_s(), 1e-3);
+    const double step_s = std::max(target_scene.log.lidars[0].sweep_period_s(), 1e-3);
     return place_path(target_scene, densify_track(dataset_path, step_s), clearance_m, actor_scene,
                       actor_track);
 }
 
 NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const GroundPlacement& placement,
                                const SceneWithLogView& actor_scene, const std::string& actor_track) {
-    const Log& sequence = target_scene.sequence;
+    const Log& log = target_scene.log;
     const bool is_moving = placement.speed_mps != 0.0;
-    const glm::dvec2 xy = placement.dataset_m - glm::dvec2(sequence.world_offset_m);
+    const glm::dvec2 xy = placement.dataset_m - glm::dvec2(log.world_offset_m);
     const double yaw_rad =
-        placement.yaw_rad ? *placement.yaw_rad : heading_rad(nearest_pose(sequence.world_from_vehicle, xy));
+        placement.yaw_rad ? *placement.yaw_rad : heading_rad(nearest_pose(log.world_from_vehicle, xy));
     const glm::dquat rotation = make_rotation(yaw_rad, 0.0, 0.0);
     const glm::dvec3 start_m(placement.dataset_m, 0.0), ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
-    const std::vector<double> times_s = list_sweep_times_s(sequence);
+    const std::vector<double> times_s = list_sweep_times_s(log);
     PoseTrack path;  // a straight line; place_path() sets z
     for (const double time_s : times_s)
         path.append(time_s, {rotation, start_m + placement.speed_mps * (time_s - times_s.front()) * ahead});

@@ -180,27 +180,27 @@ void add_overlap_note(Notes& notes, const Log& log, const BoxTrack& box, const B
 Notes check_placement(const SceneWithLogView& edited, const std::vector<std::string>& tracks) {
     Notes notes;
     // A standing object is present in all frames, not only in those with labels.
-    const std::vector<BoxTrack> standing = list_standing(edited.scene, edited.sequence, {});
-    const std::vector<double> times_s = list_sweep_times_s(edited.sequence);
-    std::vector<BoxTrack> boxes = edited.sequence.boxes;
+    const std::vector<BoxTrack> standing = list_standing(edited.scene, edited.log, {});
+    const std::vector<double> times_s = list_sweep_times_s(edited.log);
+    std::vector<BoxTrack> boxes = edited.log.boxes;
     for (BoxTrack& box : boxes)
         if (const auto match = std::ranges::find(standing, box.id, &BoxTrack::id); match != standing.end())
             box.world_from_box = {times_s, std::vector(times_s.size(), match->world_from_box.pose.front())};
     std::set<std::string> checked;  // ids; a pair of placed actors is checked with the first of them
     for (const std::string& track : tracks) {
-        const BoxTrack* box = find_box(edited.sequence, track);
+        const BoxTrack* box = find_box(edited.log, track);
         if (!box) continue;
         PoseTrack path;
         for (const double time_s : times_s)
             if (box->is_observed(time_s)) path.append(time_s, box->world_from_box.pose_at(time_s));
         // heights_above_ground() expects poses in the world frame of the dataset.
         const std::vector<GroundGap> gaps_m =
-            heights_above_ground(edited, shift_track(path, edited.sequence.world_offset_m), box->size_m);
+            heights_above_ground(edited, shift_track(path, edited.log.world_offset_m), box->size_m);
         add_gap_note(notes, *box, path, gaps_m);
         add_background_note(notes, edited.scene, *box, path, gaps_m);
         checked.insert(track);
         for (const BoxTrack& other : boxes)
-            if (!checked.contains(other.id)) add_overlap_note(notes, edited.sequence, *box, other);
+            if (!checked.contains(other.id)) add_overlap_note(notes, edited.log, *box, other);
     }
     return notes;
 }

@@ -12,7 +12,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
-#include "log/sequence/georeference_json.hpp"
+#include "log/georeference/georeference_json.hpp"
 
 namespace relidar {
 namespace {

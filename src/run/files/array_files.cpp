@@ -48,12 +48,12 @@ ArrayFile read_cell_file(const fs::path& path, const char* format, double cell_s
 }
 
 /// Returns the frame whose index in the log is the name of an array.
-Frame& find_frame(const std::string& array_name, Log& sequence, const std::string& file_name) {
+Frame& find_frame(const std::string& array_name, Log& log, const std::string& file_name) {
     const auto index = parse_integer<std::size_t>(array_name);
-    if (!index || *index >= sequence.frames.size())
+    if (!index || *index >= log.frames.size())
         fail("{}: the array name \"{}\" is not the index of a frame, expected a number below {}", file_name,
-             array_name, sequence.frames.size());
-    return sequence.frames[*index];
+             array_name, log.frames.size());
+    return log.frames[*index];
 }
 
 using TreeNode = IntensityScatterModel::DecisionTreeNode;
@@ -125,21 +125,21 @@ IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
 
 }  // namespace
 
-void save_azimuths(const fs::path& path, const Log& sequence) {
+void save_azimuths(const fs::path& path, const Log& log) {
     std::vector<NamedArray> arrays;
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i)
-        if (const std::vector<float>& shift_rad = sequence.frames[i].azimuth_shift_rad; !shift_rad.empty())
+    for (std::size_t i = 0; i < log.frames.size(); ++i)
+        if (const std::vector<float>& shift_rad = log.frames[i].azimuth_shift_rad; !shift_rad.empty())
             arrays.push_back(make_vector_array(fmt::format("{:06}", i), shift_rad));
     write_unless_empty(path, arrays, kSweepsFormat);
 }
 
 /// Reads Frame::azimuth_shift_rad: how far each column of a sweep is from its nominal
 /// azimuth. The name of an array is the index of its frame.
-void load_azimuths(const fs::path& path, Log& sequence) {
+void load_azimuths(const fs::path& path, Log& log) {
     const ArrayFile file(path, kSweepsFormat);
     for (const NamedArray& array : file.arrays) {
-        Frame& frame = find_frame(array.name, sequence, file.path);
-        const auto columns = std::size_t(sequence.lidar_of(frame).sensor.columns);
+        Frame& frame = find_frame(array.name, log, file.path);
+        const auto columns = std::size_t(log.lidar_of(frame).sensor.columns);
         frame.azimuth_shift_rad = file.find(array.name, "f4", {columns}).to_floats();
         for (const float shift : frame.azimuth_shift_rad)
             if (!(std::abs(shift) <= float(kPi)))

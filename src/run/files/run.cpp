@@ -100,8 +100,8 @@ void write_run_files(const Run& run, const fs::path& folder, bool keep_block_fil
     save_run_config(run, folder);
     save_scene(run, folder, keep_block_files);
     if (!run.drop_network.empty()) save_drop_network(folder / kDropNetworkFile, run.drop_network);
-    files::save_azimuths(folder / kSweepsFile, run.sequence);
-    files::save_bodies(folder / kBodiesFile, run.sequence.lidars);
+    files::save_azimuths(folder / kSweepsFile, run.log);
+    files::save_bodies(folder / kBodiesFile, run.log.lidars);
     files::save_coverage(folder / kCoverageFile, run.coverage);
     files::save_class_map(folder / kClassesFile, run.classes);
     files::save_scatter(folder / kScatterFile, run.intensity_scatter);
@@ -203,9 +203,9 @@ void overwrite_run(const Run& run, const std::function<void()>& remove_earlier_f
 }
 
 void Run::set_driving_scene(SceneWithLog driving_scene) {
-    driving_scene = complete_actors(std::move(driving_scene), sequence.boxes);
+    driving_scene = complete_actors(std::move(driving_scene), log.boxes);
     scene = std::move(driving_scene.scene);
-    sequence = std::move(driving_scene.sequence);
+    log = std::move(driving_scene.log);
 }
 
 namespace {
@@ -213,12 +213,12 @@ namespace {
 /// Loads the files that only some runs have.
 void load_optional_files(Run& run) {
     const auto is_present = [&](const char* name) { return does_path_exist(run.folder / name); };
-    if (is_present(kSweepsFile)) files::load_azimuths(run.folder / kSweepsFile, run.sequence);
-    if (is_present(kBodiesFile)) files::load_bodies(run.folder / kBodiesFile, run.sequence.lidars);
+    if (is_present(kSweepsFile)) files::load_azimuths(run.folder / kSweepsFile, run.log);
+    if (is_present(kBodiesFile)) files::load_bodies(run.folder / kBodiesFile, run.log.lidars);
     if (is_present(kCoverageFile)) run.coverage = files::load_coverage(run.folder / kCoverageFile);
     if (is_present(kClassesFile)) run.classes = files::load_class_map(run.folder / kClassesFile);
     if (is_present(kScatterFile))
-        run.intensity_scatter = files::load_scatter(run.folder / kScatterFile, run.sequence.lidars.size());
+        run.intensity_scatter = files::load_scatter(run.folder / kScatterFile, run.log.lidars.size());
     if (is_present(kDropNetworkFile)) run.drop_network = load_drop_network(run.folder / kDropNetworkFile);
 }
 
@@ -246,20 +246,20 @@ Run load_run(const fs::path& folder) {
     run.folder = folder;
     const fs::path scene_path = folder / kSceneFile;
     const Config settings = load_settings(folder / kConfigFile);
-    files::SceneJsonContents log = files::parse_scene(read_text_file(scene_path), scene_path.string());
-    run.sequence = std::move(log.sequence);
-    run.config = with_max_range(settings, run.sequence);
-    run.split = std::move(log.split);
-    run.edits = std::move(log.edits);
-    run.held_out_placed = log.held_out_placed;
-    run.refined_poses = std::move(log.refined_poses);
+    files::SceneJsonContents contents = files::parse_scene(read_text_file(scene_path), scene_path.string());
+    run.log = std::move(contents.log);
+    run.config = with_max_range(settings, run.log);
+    run.split = std::move(contents.split);
+    run.edits = std::move(contents.edits);
+    run.held_out_placed = contents.held_out_placed;
+    run.refined_poses = std::move(contents.refined_poses);
     run.scene = load_model(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
         if (!does_path_exist(block.file))
             fail("the file {} is missing, but this run has {} blocks with one file each", block.file.string(),
                  run.scene.blocks.size());
     load_optional_files(run);
-    check_run_files(run, log.n_surfels);
+    check_run_files(run, contents.n_surfels);
     return run;
 }
 

@@ -13,7 +13,7 @@
 namespace relidar::files {
 
 struct SceneJsonContents {
-    Log sequence;  ///< frames without scans
+    Log log;  ///< frames without scans
     Split split;
     std::vector<EditHistoryEntry> edits;
     bool held_out_placed = false;
@@ -21,7 +21,7 @@ struct SceneJsonContents {
     std::size_t n_surfels = 0;
 };
 /// Returns the text of scene.json: the log of a run without scans, its split and edits.
-/// @throws DataError if the sequence is inconsistent or not finite
+/// @throws DataError if the log is inconsistent or not finite
 std::string format_scene(const Run& run);
 /// Reads the text of scene.json. All sections except the basic ones are optional.
 /// @throws DataError naming the file and the field
@@ -32,8 +32,8 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
 
 /// sweeps.safetensors has Frame::azimuth_shift_rad: an array [columns] f4 for each frame
 /// with shifts, named by the index of the frame in scene.json.
-void save_azimuths(const std::filesystem::path& path, const Log& sequence);
-void load_azimuths(const std::filesystem::path& path, Log& sequence);
+void save_azimuths(const std::filesystem::path& path, const Log& log);
+void load_azimuths(const std::filesystem::path& path, Log& log);
 
 /// own_body.safetensors has Lidar::own_body: `0.range_m` and `0.intensity` [cells] f4 for
 /// LiDAR 0, empty without a body.

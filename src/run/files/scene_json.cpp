@@ -15,7 +15,7 @@
 #include <relidar/log/log_time.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 #include "base/json_field.hpp"
-#include "log/sequence/georeference_json.hpp"
+#include "log/georeference/georeference_json.hpp"
 
 namespace relidar::files {
 namespace {
@@ -63,9 +63,9 @@ Json to_json(const RangeNoiseTable& noise) {
 }
 
 /// Converts the LiDARs to JSON: pose on the vehicle, sensor, and noise of the ranges.
-Json lidars_json(const Log& sequence) {
+Json lidars_json(const Log& log) {
     Json json = Json::array();
-    for (const Lidar& lidar : sequence.lidars) {
+    for (const Lidar& lidar : log.lidars) {
         json.push_back({{"name", lidar.name},
                         {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)},
                         {"sensor", Json::parse(format_sensor_json(sensor_of(lidar)))}});
@@ -76,14 +76,14 @@ Json lidars_json(const Log& sequence) {
 
 /// Converts the frames to JSON: index, time, LiDAR, part of the split (train, test or
 /// unused), and vehicle pose.
-Json frames_json(const Log& sequence, const Split& split) {
-    std::vector<const char*> parts(sequence.frames.size(), "unused");
+Json frames_json(const Log& log, const Split& split) {
+    std::vector<const char*> parts(log.frames.size(), "unused");
     for (const int i : split.test) parts.at(std::size_t(i)) = "test";
     for (const int i : split.train) parts.at(std::size_t(i)) = "train";
     Json frames = Json::array();
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
-        const Frame& frame = sequence.frames[i];
-        const Pose& pose = sequence.world_from_vehicle.pose[sequence.find_pose_index(frame)];
+    for (std::size_t i = 0; i < log.frames.size(); ++i) {
+        const Frame& frame = log.frames[i];
+        const Pose& pose = log.world_from_vehicle.pose[log.find_pose_index(frame)];
         frames.push_back({{"index", frame.index},
                           {"time_s", frame.time_s},
                           {"lidar", frame.lidar},
@@ -157,7 +157,7 @@ IntensityResponse parse_response(const JsonField& field) {
 /// Reads the frames, their vehicle poses, and the split into training and test frames
 /// (indices in the list of frames).
 void parse_frames(const JsonField& field, SceneJsonContents& scene) {
-    const auto last_lidar = static_cast<std::int64_t>(scene.sequence.lidars.size()) - 1;
+    const auto last_lidar = static_cast<std::int64_t>(scene.log.lidars.size()) - 1;
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
         Frame frame;
@@ -165,7 +165,7 @@ void parse_frames(const JsonField& field, SceneJsonContents& scene) {
         frame.time_s = entry.at("time_s").number_in(-kMaxValue, kMaxValue);
         frame.lidar = static_cast<int>(entry.at("lidar").integer_in(0, last_lidar));
         const auto order = [](const Frame& f) { return std::pair(f.time_s, f.lidar); };
-        if (i > 0 && order(frame) <= order(scene.sequence.frames.back()))
+        if (i > 0 && order(frame) <= order(scene.log.frames.back()))
             entry.at("time_s").reject(fmt::format("found {}", frame.time_s),
                                       "expected frames in the order of their times, and at equal times in "
                                       "the order of their LiDARs, without duplicates");
@@ -175,12 +175,12 @@ void parse_frames(const JsonField& field, SceneJsonContents& scene) {
         else if (part != "unused")
             entry.at("split").reject("found \"" + part + "\"", "expected train, test or unused");
         const Pose pose = read_pose(entry.at("world_from_vehicle"));
-        PoseTrack& track = scene.sequence.world_from_vehicle;
+        PoseTrack& track = scene.log.world_from_vehicle;
         // Frames of several LiDARs at the same time share one pose.
         if (track.time_s.empty() || track.time_s.back() != frame.time_s) track.append(frame.time_s, pose);
-        scene.sequence.frames.push_back(std::move(frame));
+        scene.log.frames.push_back(std::move(frame));
     }
-    if (scene.sequence.frames.empty()) field.reject("found no frame", "expected at least one frame");
+    if (scene.log.frames.empty()) field.reject("found no frame", "expected at least one frame");
 }
 
 /// Checks that a box has one pose for each time, in the order of time.
@@ -228,8 +228,8 @@ void check_counts(const JsonField& root, const SceneJsonContents& scene) {
             count.reject(fmt::format("found {}", found),
                          fmt::format("expected {}, the number of listed entries", n_listed));
     };
-    check("frames", scene.sequence.frames.size());
-    check("boxes", scene.sequence.boxes.size());
+    check("frames", scene.log.frames.size());
+    check("boxes", scene.log.boxes.size());
 }
 
 /// Throws if the file has another format or version.
@@ -245,7 +245,7 @@ void check_format(const JsonField& root) {
 }  // namespace
 
 std::string format_scene(const Run& run) {
-    const Log& s = run.sequence;
+    const Log& s = run.log;
     Json boxes = Json::array();
     for (const BoxTrack& box : s.boxes) boxes.push_back(to_json(box));
     Json json = {
@@ -284,7 +284,7 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
     const JsonField root(json, file_name, "");
     check_format(root);
     SceneJsonContents scene;
-    Log& log = scene.sequence;
+    Log& log = scene.log;
     log.name = root.at("name").text();
     log.source = root.at("source").text();
     log.conventions = root.at("source_conventions").text();

@@ -78,7 +78,7 @@ double match_cost(const MoverTrack& track, const MoverCluster& cluster, double f
 /// Builds tracks frame by frame. A track is open while a cluster can continue it.
 class OpenTrackSet {
 public:
-    explicit OpenTrackSet(const Log& log) : sequence_(log) {}
+    explicit OpenTrackSet(const Log& log) : log_(log) {}
 
     /// Continues the open tracks with the clusters of the next frame, the best match
     /// first. Each remaining cluster starts a track.
@@ -100,7 +100,7 @@ public:
     MoverTracks release_tracks() && { return std::move(tracks_); }
 
 private:
-    const Log& sequence_;
+    const Log& log_;
     MoverTracks tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
@@ -108,7 +108,7 @@ private:
     /// open until its last label.
     bool has_ended(const MoverTrack& track, double frame_time_s) const {
         if (track.label != kNoLabel &&
-            sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
+            log_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
             return false;
         // match_cost() compares firing times of returns. They differ from frame times by
         // up to a sweep, so this limit is wider.
@@ -119,7 +119,7 @@ private:
         std::vector<Match> result;
         for (const std::size_t t : open_)
             for (std::size_t c = 0; c < clusters.size(); ++c) {
-                const double cost = match_cost(tracks_[t], clusters[c], frame_time_s, sequence_);
+                const double cost = match_cost(tracks_[t], clusters[c], frame_time_s, log_);
                 if (cost < 1.0) result.push_back({cost, t, c});
             }
         std::ranges::sort(result);
@@ -127,7 +127,7 @@ private:
     }
     void append(MoverTrack& track, double frame_time_s, const MoverCluster& cluster) const {
         track.observations.push_back(
-            {frame_time_s, sequence_.world_from_vehicle.pose_at(cluster.time_s).translation, cluster});
+            {frame_time_s, log_.world_from_vehicle.pose_at(cluster.time_s).translation, cluster});
         if (cluster.label != kNoLabel) track.label = cluster.label;
     }
 };

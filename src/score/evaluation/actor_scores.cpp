@@ -27,7 +27,7 @@ constexpr double kMaxMotionPerSweep_m = 2.0;  // Maximum distance that a box mov
 constexpr std::size_t kMinRealPoints = 10;
 
 struct BoxInScan {
-    const Log& sequence;
+    const Log& log;
     const SweepTiming& sweep;
     const BoxTrack& box;
     /// centre of the box at the time of the scan, sensor frame
@@ -35,8 +35,8 @@ struct BoxInScan {
         inverse(world_from_sensor(sweep.time_s)) * box.world_from_box.pose_at(sweep.time_s).translation;
 
     Pose world_from_sensor(double t_s) const {
-        return sequence.world_from_vehicle.mounted_pose_at(
-            t_s, sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor);
+        return log.world_from_vehicle.mounted_pose_at(
+            t_s, log.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor);
     }
     /// At the time when the LiDAR's head faces the point. Nothing if the point is far
     /// away.
@@ -44,7 +44,7 @@ struct BoxInScan {
         if (glm::distance(sensor_point_m, centre_m) >
             0.5 * glm::length(box.size_m) + kSilhouetteMargin_m + kMaxMotionPerSweep_m)
             return std::nullopt;
-        const double t_s = facing_time_s(sequence, sensor_point_m, sweep);
+        const double t_s = facing_time_s(log, sensor_point_m, sweep);
         return inverse(box.world_from_box.pose_at(t_s)) * (world_from_sensor(t_s) * sensor_point_m);
     }
     bool contains(const std::optional<glm::dvec3>& box_point_m, double margin_m) const {
@@ -121,9 +121,9 @@ struct SweptBoxVolume {
 };
 
 /// Returns the volume of each moving box: the space that it occupies at any of its poses.
-std::vector<SweptBoxVolume> sweep_boxes(const Log& sequence) {
+std::vector<SweptBoxVolume> sweep_boxes(const Log& log) {
     std::vector<SweptBoxVolume> volumes;
-    for (const BoxTrack& box : sequence.boxes) {
+    for (const BoxTrack& box : log.boxes) {
         if (!box.is_moving()) continue;
         SweptBoxVolume& volume = volumes.emplace_back();
         volume.box = &box;
@@ -189,10 +189,10 @@ std::vector<std::size_t> find_tails(const std::vector<SweptBoxVolume>& volumes, 
 /// @param point_ranges_m [n] range of the point on each ray of the image
 /// @param swept_volumes  space that each moving box covers during the log
 CometTailPointCounts count_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
-                                       const Log& sequence, const std::vector<SweptBoxVolume>& swept_volumes,
+                                       const Log& log, const std::vector<SweptBoxVolume>& swept_volumes,
                                        const SweepTiming& sweep) {
     constexpr std::size_t kRaysPerBlock = 2048;  // per step of a thread
-    const Pose& vehicle_from_sensor = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
+    const Pose& vehicle_from_sensor = log.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
     return parallel_sum(point_ranges_m.size(), kRaysPerBlock, [&](std::size_t begin, std::size_t end) {
         CometTailPointCounts counts;
         counts.n_of_box.resize(swept_volumes.size());
@@ -200,10 +200,10 @@ CometTailPointCounts count_tail_points(const RangeImage& image, const std::vecto
             if (!is_ray_returned(image.drop_prob[ray], point_ranges_m[ray])) continue;
             ++counts.n_points;
             const glm::dvec3 sensor_point_m(image.origin[ray] + point_ranges_m[ray] * image.direction[ray]);
-            const double t_s = facing_time_s(sequence, sensor_point_m, sweep);
+            const double t_s = facing_time_s(log, sensor_point_m, sweep);
             // In the world. The vehicle moves during the sweep.
             const glm::dvec3 point_m =
-                sequence.world_from_vehicle.mounted_pose_at(t_s, vehicle_from_sensor) * sensor_point_m;
+                log.world_from_vehicle.mounted_pose_at(t_s, vehicle_from_sensor) * sensor_point_m;
             const std::vector<std::size_t> tails = find_tails(swept_volumes, point_m, t_s);
             if (!tails.empty()) ++counts.n_tail_points;
             for (const std::size_t box : tails) ++counts.n_of_box[box];
@@ -215,9 +215,9 @@ CometTailPointCounts count_tail_points(const RangeImage& image, const std::vecto
 }  // namespace
 
 MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
-                              const RangeImage& real, const Log& sequence, const SweepTiming& sweep,
+                              const RangeImage& real, const Log& log, const SweepTiming& sweep,
                               const BoxTrack& box) {
-    const BoxInScan in_scan{sequence, sweep, box};
+    const BoxInScan in_scan{log, sweep, box};
     MovingBoxPoints result;
     for (std::size_t i = 0; i < point_ranges_m.size(); ++i) {
         const auto to_box = [&](const RangeImage& image, float range_m) {
@@ -245,13 +245,13 @@ MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<floa
 }
 
 FrameActorScores score_actors(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
-                              const RangeImage& real, const Log& sequence, const SweepTiming& sweep) {
+                              const RangeImage& real, const Log& log, const SweepTiming& sweep) {
     FrameActorScores scores;
-    const std::vector<SweptBoxVolume> swept = sweep_boxes(sequence);
+    const std::vector<SweptBoxVolume> swept = sweep_boxes(log);
     if (swept.empty()) return scores;
     // Points at places where a moving box is only at other times (comet tails).
-    const CometTailPointCounts tails = count_tail_points(rendered, point_ranges_m, sequence, swept, sweep);
-    const CometTailPointCounts real_tails = count_tail_points(real, real.range_m, sequence, swept, sweep);
+    const CometTailPointCounts tails = count_tail_points(rendered, point_ranges_m, log, swept, sweep);
+    const CometTailPointCounts real_tails = count_tail_points(real, real.range_m, log, swept, sweep);
     scores.metrics["actors/tail_share"] = tails.share();
     scores.metrics["actors/tail_share_real"] = real_tails.share();
     BoxGroupErrors people, vehicles;
@@ -259,7 +259,7 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
         const BoxTrack& box = *swept[k].box;
         MovingBoxPoints points;  // none if the box is not in this frame
         if (box.is_observed(sweep.time_s))
-            points = points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
+            points = points_in_box(rendered, point_ranges_m, real, log, sweep, box);
         MetricValues row{{"points", double(points.simulated_m.size())},
                          {"points_real", double(points.real_m.size())}};
         add_range_errors(row, "range_", points.range_error_m);

@@ -6,8 +6,8 @@
 #include <optional>
 #include <vector>
 
+#include <relidar/log/log.hpp>
 #include <relidar/log/range_image.hpp>
-#include <relidar/log/sequence.hpp>
 #include <relidar/score/evaluation.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -34,7 +34,7 @@ struct FrameActorScores {
 /// @param rendered,real images of the same rays
 /// @param point_ranges_m [n] range of the simulated point on each ray
 FrameActorScores score_actors(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
-                              const RangeImage& real, const Log& sequence, const SweepTiming& sweep);
+                              const RangeImage& real, const Log& log, const SweepTiming& sweep);
 
 /// Joins the scores of each actor in several frames: adds the numbers of points, and
 /// averages other metrics, weighted by the real points. The actors with the most large

@@ -26,13 +26,13 @@ constexpr std::size_t kScoredAtOnce = 16;
 
 /// Returns the sensor with which a frame is rendered. If config.sensor.grid is "native",
 /// it fires exactly the rays of the recorded scan.
-SimulatedSensor frame_sensor(const Config& config, const Log& sequence, const Frame& frame) {
-    SimulatedSensor sensor = make_sensor(config, sequence, frame.lidar);
+SimulatedSensor frame_sensor(const Config& config, const Log& log, const Frame& frame) {
+    SimulatedSensor sensor = make_sensor(config, log, frame.lidar);
     if (config.sensor.grid == "native") {
         sensor.rays = frame.scan.rays;
         sensor.follows_sweeps = false;
     }
-    sensor.rolling_shutter = sequence.rolling_shutter;
+    sensor.rolling_shutter = log.rolling_shutter;
     return sensor;
 }
 
@@ -125,9 +125,9 @@ const std::vector<float>& ranges_of_points(const RenderedScan& rendered, const C
 }
 
 /// Clamps ranges to the maximum range of the log and of the grid of the images.
-MetricOptions make_metric_options(const Config& config, const Log& sequence, const Lpips* lpips_network) {
+MetricOptions make_metric_options(const Config& config, const Log& log, const Lpips* lpips_network) {
     MetricOptions options;
-    options.max_range_m = with_max_range(config, sequence).dataset.max_range_m;
+    options.max_range_m = with_max_range(config, log).dataset.max_range_m;
     if (config.sensor.grid != "native")
         options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
     options.lpips = lpips_network;
@@ -137,7 +137,7 @@ MetricOptions make_metric_options(const Config& config, const Log& sequence, con
 /// Computes the metrics of several rendered frames in parallel.
 /// @param lpips_network  if null, the metric LPIPS is left out
 std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_frames, const Config& config,
-                                        const Log& sequence, const Lpips* lpips_network) {
+                                        const Log& log, const Lpips* lpips_network) {
     std::vector<RangeImageComparison> comparisons;
     for (const RenderedFrame& rendered : rendered_frames) {
         const ScoredFrame& frame = rendered.frame;
@@ -149,7 +149,7 @@ std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_fram
                                .point_range_m = ranges_of_points(frame.rendered, config)});
     }
     std::vector<MetricValues> rows =
-        evaluate_all(comparisons, make_metric_options(config, sequence, lpips_network));
+        evaluate_all(comparisons, make_metric_options(config, log, lpips_network));
     const auto is_of_intensity = [](const auto& metric) {
         return metric.first.find("intensity") != std::string::npos;
     };
@@ -162,9 +162,9 @@ std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_fram
     return frames;
 }
 
-void add_actor_scores(ScoredFrame& frame, const Log& sequence, const Config& config) {
+void add_actor_scores(ScoredFrame& frame, const Log& log, const Config& config) {
     FrameActorScores scores = score_actors(frame.rendered.image, ranges_of_points(frame.rendered, config),
-                                           frame.real, sequence, {frame.time_s, frame.lidar, frame.start});
+                                           frame.real, log, {frame.time_s, frame.lidar, frame.start});
     frame.metrics.merge(scores.metrics);
     frame.actors = std::move(scores.actors);
 }
@@ -258,7 +258,7 @@ std::optional<int> find_repeat(const Log& log, int frame_index) {
 
 void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log) {
     const auto copy_scan = [&](int position) {
-        Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        Frame& frame = run.log.frames[static_cast<std::size_t>(position)];
         const auto recorded = std::ranges::find_if(log.frames, [&](const Frame& other) {
             return other.index == frame.index && other.lidar == frame.lidar;
         });
@@ -273,7 +273,7 @@ void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log)
     };
     for (const int position : frame_indices) {
         copy_scan(position);
-        if (const std::optional<int> repeat = find_repeat(run.sequence, position)) copy_scan(*repeat);
+        if (const std::optional<int> repeat = find_repeat(run.log, position)) copy_scan(*repeat);
     }
 }
 
@@ -284,22 +284,22 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log&
         .front();
 }
 
-Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Log& sequence,
+Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Log& log,
                            const std::vector<int>& frame_indices, const Progress& progress,
                            const ScoredFrameCallback& on_frame) {
     // For reports: the drop probability of the surfels, before the network corrects it.
-    if (on_frame && renderer.has_network_for(make_sensor(config, sequence)))
+    if (on_frame && renderer.has_network_for(make_sensor(config, log)))
         renderer.add_channels("surfel_drop_prob");
     // For the metrics classes/*.
     const auto has_classes = [&](int position) {
-        return can_score_classes(renderer, config, sequence.frames.at(std::size_t(position)));
+        return can_score_classes(renderer, config, log.frames.at(std::size_t(position)));
     };
     if (std::ranges::any_of(frame_indices, has_classes)) renderer.add_channels("class");
     const auto render = [&](int, const Frame& frame) {
-        return render_frame(renderer, config, sequence, frame, {});
+        return render_frame(renderer, config, log, frame, {});
     };
-    std::vector<ScoredFrame> scored = score_frames({frame_indices, sequence, config, progress, on_frame},
-                                                   "rendering held-out frames", render);
+    std::vector<ScoredFrame> scored =
+        score_frames({frame_indices, log, config, progress, on_frame}, "rendering held-out frames", render);
     return summarise(std::move(scored), renderer.times());
 }
 
@@ -309,17 +309,17 @@ BoxPointMotion parse_baseline(const std::string& baseline_name) {
     fail<UsageError>("baseline: found \"{}\", expected nearest or nearest-actors", baseline_name);
 }
 
-Evaluation evaluate_baseline(const std::string& baseline_name, const Config& config, const Log& sequence,
+Evaluation evaluate_baseline(const std::string& baseline_name, const Config& config, const Log& log,
                              const Split& split, const Progress& progress,
                              const ScoredFrameCallback& on_frame) {
     const BoxPointMotion box_motion = parse_baseline(baseline_name);
     const auto project = [&](int position, const Frame& frame) {
-        RenderedFrame result = make_real_frame(config, sequence, frame, {});
-        result.frame.rendered.image = project_neighbours(config, sequence, position, split.train, box_motion);
+        RenderedFrame result = make_real_frame(config, log, frame, {});
+        result.frame.rendered.image = project_neighbours(config, log, position, split.train, box_motion);
         return result;
     };
     const KernelTimes no_kernels;  // a baseline does not use the device
-    Evaluation evaluation = summarise(score_frames({split.test, sequence, config, progress, on_frame},
+    Evaluation evaluation = summarise(score_frames({split.test, log, config, progress, on_frame},
                                                    "projecting neighbours of held-out frames", project),
                                       no_kernels);
     evaluation.title = "baseline " + baseline_name;

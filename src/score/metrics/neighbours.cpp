@@ -11,7 +11,7 @@
 #include <optional>
 #include <set>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "base/fail.hpp"
 
@@ -23,8 +23,8 @@ constexpr int kColumnSearch = 4;
 
 /// Returns the nearest training frames of the same LiDAR before and after a frame.
 /// Returns only one if the other does not exist.
-std::vector<int> find_neighbours(const Log& sequence, int frame_index, const std::vector<int>& train_frames) {
-    const auto lidar_of = [&](int position) { return sequence.frames[std::size_t(position)].lidar; };
+std::vector<int> find_neighbours(const Log& log, int frame_index, const std::vector<int>& train_frames) {
+    const auto lidar_of = [&](int position) { return log.frames[std::size_t(position)].lidar; };
     std::set<int> others;  // in order of time, like the frames of the log
     for (const int position : train_frames)
         if (position != frame_index && lidar_of(position) == lidar_of(frame_index)) others.insert(position);
@@ -36,19 +36,19 @@ std::vector<int> find_neighbours(const Log& sequence, int frame_index, const std
         fail(
             "cannot project neighbouring scans into frame {}: the log has no other training frame of the "
             "same LiDAR, expected at least one",
-            sequence.frames[std::size_t(frame_index)].index);
+            log.frames[std::size_t(frame_index)].index);
     return neighbours;
 }
 
 /// Converts a point from the world frame to the sensor frame at the time when the
 /// rotating LiDAR faces the point. This time depends on the direction of the point, which
 /// is first computed with the sensor pose at the reference time of the sweep.
-glm::dvec3 world_to_sensor(const Log& sequence, const glm::dvec3& world_point_m, const Frame& frame) {
-    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
+glm::dvec3 world_to_sensor(const Log& log, const glm::dvec3& world_point_m, const Frame& frame) {
+    const Pose& mounted = log.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference =
-        inverse(sequence.world_from_vehicle.mounted_pose_at(frame.time_s, mounted)) * world_point_m;
-    const double facing_s = facing_time_s(sequence, at_reference, timing_of(frame));
-    return inverse(sequence.world_from_vehicle.mounted_pose_at(facing_s, mounted)) * world_point_m;
+        inverse(log.world_from_vehicle.mounted_pose_at(frame.time_s, mounted)) * world_point_m;
+    const double facing_s = facing_time_s(log, at_reference, timing_of(frame));
+    return inverse(log.world_from_vehicle.mounted_pose_at(facing_s, mounted)) * world_point_m;
 }
 
 /// Adds a return at a point. The ray starts at the origin, with time and row 0.

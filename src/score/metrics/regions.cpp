@@ -9,7 +9,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include "base/fail.hpp"
 #include "score/metrics/image_errors.hpp"
 
@@ -153,10 +153,10 @@ std::vector<bool> mask_labelled_movers(const Log& log, const Frame& frame, const
     return mask_boxes(std::move(labelled), log, frame, sensor_offset);
 }
 
-std::vector<bool> mask_found_movers(const Log& sequence, const Frame& frame, const Pose& sensor_offset) {
-    std::vector<BoxTrack> discovered = sequence.boxes;
+std::vector<bool> mask_found_movers(const Log& log, const Frame& frame, const Pose& sensor_offset) {
+    std::vector<BoxTrack> discovered = log.boxes;
     std::erase_if(discovered, [](const BoxTrack& box) { return box.category != kDiscoveredCategory; });
-    return mask_boxes(std::move(discovered), sequence, frame, sensor_offset);
+    return mask_boxes(std::move(discovered), log, frame, sensor_offset);
 }
 
 }  // namespace relidar

@@ -64,11 +64,11 @@ constexpr const char* kStandIn = "HDL-64E";
 /// Returns one sensor for each LiDAR of the log, or its stand-in.
 std::vector<SimulatedSensor> sensors_of_log(const Run& run) {
     std::vector<SimulatedSensor> sensors;
-    for (int i = 0; i < int(run.sequence.lidars.size()); ++i) {
-        sensors.push_back(choose_sensor("native", run.config, run.sequence, i));
+    for (int i = 0; i < int(run.log.lidars.size()); ++i) {
+        sensors.push_back(choose_sensor("native", run.config, run.log, i));
         const SimulatedSensor& log_sensor = sensors.back();
         if (log_sensor.rays.size() == 0 && !log_sensor.pattern)
-            sensors.back() = choose_sensor(kStandIn, run.config, run.sequence, i);
+            sensors.back() = choose_sensor(kStandIn, run.config, run.log, i);
     }
     return sensors;
 }
@@ -78,7 +78,7 @@ std::vector<SimulatedSensor> sensors_of_log(const Run& run) {
 std::vector<int> frames_with_actors(const Run& run, const std::vector<const BoxTrack*>& boxes) {
     std::vector<int> positions;
     for (const int position : run.split.train) {
-        const double time_s = run.sequence.frames[std::size_t(position)].time_s;
+        const double time_s = run.log.frames[std::size_t(position)].time_s;
         const auto is_present = [&](const BoxTrack* box) { return box && box->is_observed(time_s); };
         if (std::ranges::any_of(boxes, is_present)) positions.push_back(position);
     }
@@ -98,7 +98,7 @@ void add_observations(const RenderedScan& scan, const Run& run, const std::vecto
             inverse(box->world_from_box.pose_at(scan.time_s + double(scan.time_offset_s[i])));
         const Pose& world_from_firing = firing.pose_of(i);
         const glm::dvec3 point_m =
-            box_from_world * (world_from_firing * scan.end_of<double>(i) - run.sequence.world_offset_m);
+            box_from_world * (world_from_firing * scan.end_of<double>(i) - run.log.world_offset_m);
         // Skips returns from surfels that were mirrored to fill an unobserved side of the
         // actor. The log has not observed them.
         const SurfelModel& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
@@ -152,11 +152,11 @@ AssetDescription describe_actor(const Run& run, const BoxTrack& box, const Obser
     facts.size_m = box.size_m;
     if (!run.folder.empty()) facts.source_run = fs::absolute(run.folder).lexically_normal().string();
     facts.source_track = box.id;
-    facts.sensor = run.sequence.lidars.front().sensor.name;
+    facts.sensor = run.log.lidars.front().sensor.name;
     for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.observed_fraction(BoxSide(s));
     facts.seen = surface.observed_fraction();
     facts.nearest_m = nearest_m;
-    facts.clearance_m = ground_clearance({run.scene, run.sequence}, box.id).value_or(0.0);
+    facts.clearance_m = ground_clearance({run.scene, run.log}, box.id).value_or(0.0);
     return facts;
 }
 
@@ -183,9 +183,8 @@ ActorAsset extract_asset(const Run& run, const std::string& track, const ActorOb
     std::erase(others, track);
     alone = remove_background(std::move(alone));
     for (const std::string& other : others) alone = remove_track(std::move(alone), other);
-    const auto box =
-        std::ranges::find_if(alone.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
-    if (alone.scene.instances.size() != 2 || box == alone.sequence.boxes.end())
+    const auto box = std::ranges::find_if(alone.log.boxes, [&](const BoxTrack& b) { return b.id == track; });
+    if (alone.scene.instances.size() != 2 || box == alone.log.boxes.end())
         fail<UsageError>("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
                          track, fmt::join(others, ", "));
 
@@ -216,10 +215,10 @@ ActorAsset extract_asset(const Run& run, const std::string& track, const ActorOb
     alone.scene.models[0].first = 0;
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};
-    for (Lidar& lidar : alone.sequence.lidars) lidar.own_body = {};
+    for (Lidar& lidar : alone.log.lidars) lidar.own_body = {};
     asset.run.config = run.config;
-    asset.run.sequence = log_of_actor(alone.sequence, named);
-    for (int i = 0; i < int(asset.run.sequence.frames.size()); ++i) asset.run.split.train.push_back(i);
+    asset.run.log = log_of_actor(alone.log, named);
+    for (int i = 0; i < int(asset.run.log.frames.size()); ++i) asset.run.split.train.push_back(i);
     asset.run.scene = std::move(alone.scene);
     asset.run.edits = run.edits;
     asset.run.edits.push_back({facts.source_run, fmt::format("asset of {}", track)});
@@ -238,14 +237,14 @@ std::string only_track(const Run& run) {
 ObservationsByTrack observe_actors(Device& device, const Run& run, const Progress& progress) {
     std::vector<const BoxTrack*> boxes;
     for (const ModelInstance& instance : run.scene.instances)
-        boxes.push_back(find_box(run.sequence, instance.track));
+        boxes.push_back(find_box(run.log, instance.track));
     const std::vector<int> positions = frames_with_actors(run, boxes);
     const std::vector<SimulatedSensor> sensors = sensors_of_log(run);
     ObservationsByTrack sightings;
-    ScanRenderer renderer(device, run.scene, run.config, run.sequence);
+    ScanRenderer renderer(device, run.scene, run.config, run.log);
     for (std::size_t k = 0; k < positions.size(); ++k) {
         if (progress) progress("measuring the visibility of actors", double(k) / double(positions.size()));
-        const Frame& frame = run.sequence.frames[std::size_t(positions[k])];
+        const Frame& frame = run.log.frames[std::size_t(positions[k])];
         add_observations(renderer.render(sensors[std::size_t(frame.lidar)], frame.time_s), run, boxes,
                          sightings);
     }

@@ -81,7 +81,7 @@ SubmittedScan ScanRenderer::Impl::submit_sweep(const SimulatedSweep& sweep, cons
     SubmittedScan scan{
         .rays = record_trace(lane, sweep, rays, with_network),
         .renderer = renderer,
-        .dataset_from_sensor = shift_track(sweep.world_from_sensor, sweeps.sequence().world_offset_m),
+        .dataset_from_sensor = shift_track(sweep.world_from_sensor, sweeps.log().world_offset_m),
         .dataset_from_points = dataset_from_points,
         .time_s = sweep.time_s,
         .intensity_steps = {.step = settings.scatter[std::size_t(sensor.lidar)].step},

@@ -188,15 +188,15 @@ void set_unseen_share(RenderedScan& scan, const LogObservedSpace& space) {
 static_assert(1 + int(ObjectKind::vehicle) == int(SurfaceClass::vehicle) &&
               1 + int(ObjectKind::other) == int(SurfaceClass::other_actor));
 
-std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& sequence) {
+std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& log) {
     std::vector<std::int32_t> classes(scene.instances.size(), 0);
     for (std::size_t i = 0; i < classes.size(); ++i) {
         const ModelInstance& instance = scene.instances[i];
         if (instance.track.empty()) continue;  // the background
         // The log has no box for a copied actor. The name of the model, which it shares
         // with the original, is the id of the original's box.
-        const BoxTrack* box = find_box(sequence, instance.track);
-        if (!box) box = find_box(sequence, scene.models[instance.model].name);
+        const BoxTrack* box = find_box(log, instance.track);
+        if (!box) box = find_box(log, scene.models[instance.model].name);
         classes[i] = 1 + std::int32_t(box ? guess_kind(*box) : ObjectKind::other);
     }
     return classes;

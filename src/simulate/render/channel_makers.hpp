@@ -61,7 +61,7 @@ inline constexpr float kMinWeight = 1e-3f;
 inline constexpr const char* kIncidenceChannel = "incidence";
 
 /// Returns the class of each instance: 0 for the background, otherwise 1 + ObjectKind.
-std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& sequence);
+std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& log);
 /// Returns true if any channel needs the full rendering result, for example the normals.
 bool needs_rendering(const std::vector<ChannelInfo>& channels);
 /// Adds the channels that are computed for each traced ray.

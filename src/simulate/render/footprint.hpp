@@ -3,7 +3,7 @@
 // their hits to returns like the receiver of a LiDAR. Private to render.
 #pragma once
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {

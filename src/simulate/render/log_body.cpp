@@ -29,16 +29,16 @@ std::optional<std::uint16_t> find_nearest_beam(const std::vector<Beam>& beams, d
 
 /// Returns true if the LiDAR of the log drops its rays in a direction.
 bool is_blocked(const Run& run, int lidar, const glm::vec3& direction) {
-    const std::vector<Beam>& beams = run.sequence.lidars[std::size_t(lidar)].sensor.beams;
+    const std::vector<Beam>& beams = run.log.lidars[std::size_t(lidar)].sensor.beams;
     const auto nearest = find_nearest_beam(beams, std::asin(double(direction.z)));
-    const auto beam = nearest ? run.sequence.find_global_beam(lidar, *nearest) : std::nullopt;
+    const auto beam = nearest ? run.log.find_global_beam(lidar, *nearest) : std::nullopt;
     return beam && run.scene.sensor_drop.probability_of(*beam, direction) >= kDropThreshold;
 }
 
 }  // namespace
 
 VehicleBody find_log_body(const Run& run, int lidar, const Pose& lidar_from_sensor) {
-    BodyTable seen = run.sequence.lidars[std::size_t(lidar)].own_body;
+    BodyTable seen = run.log.lidars[std::size_t(lidar)].own_body;
     if (seen.empty() && run.scene.sensor_drop.empty()) return {};
     seen.range_m.resize(BodyTable::kCells, 0.0f);
     seen.intensity.resize(BodyTable::kCells, 0.0f);

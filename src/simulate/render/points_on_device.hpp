@@ -5,7 +5,7 @@
 
 #include <algorithm>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "gpu/prefix_sum.hpp"
 #include "simulate/shared/render.h"

@@ -153,16 +153,16 @@ bool ScanRenderer::Impl::has_channel(const std::string& name) const {
 }
 
 LogObservedSpace ScanRenderer::Impl::observed_space_of(const SimulatedSensor& sensor) const {
-    return {settings.coverage, sweeps.sequence().world_offset_m,
+    return {settings.coverage, sweeps.log().world_offset_m,
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};
 }
 
 /// Returns the data for all channels. Looks up classes only for the channel "class".
 ChannelInputs ScanRenderer::Impl::channel_inputs(const SimulatedSweep& sweep) {
     ChannelInputs context{observed_space_of(sweep.sensor),
-                          {sweeps.sequence().lidar_track(sweep.sensor.lidar), sweep.instances}};
+                          {sweeps.log().lidar_track(sweep.sensor.lidar), sweep.instances}};
     if (!has_channel("class")) return context;
-    context.classes = instance_classes(sweeps.layout(), sweeps.sequence());
+    context.classes = instance_classes(sweeps.layout(), sweeps.log());
     if (!class_finder && !class_map.empty()) class_finder = std::make_unique<SurfaceClassLookup>(class_map);
     context.background = class_finder.get();
     return context;
@@ -186,7 +186,7 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(RenderLane& l
                                                                    const RayTable& ray_table,
                                                                    bool with_network) {
     const SimulatedSensor& sensor = sweep.sensor;
-    const Log& log = sweeps.sequence();
+    const Log& log = sweeps.log();
     Renderer& renderer = lane.renderer();
     Stream& stream = renderer.stream();
     const std::shared_ptr<DeviceSensorRays> rays = lane.upload_rays(sensor, ray_table, [&](std::size_t ray) {
@@ -228,7 +228,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     scan.trace_ms =
         std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     copy_measurements(scan, measured);
-    const glm::dvec3& offset_m = sweeps.sequence().world_offset_m;
+    const glm::dvec3& offset_m = sweeps.log().world_offset_m;
     scan.track = shift_track(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
@@ -254,7 +254,7 @@ RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, co
     const WeatherSensorProperties detection =
         weather_properties(config, rays, sweeps.limits_of(sweep.sensor), sweep.sensor.name);
     const RenderedScan parts = trace_parts(rays, plan.beams.sub_rays);
-    const IntensityResponse& response = sweeps.sequence().intensity_response;
+    const IntensityResponse& response = sweeps.log().intensity_response;
     RenderedScan scan = join_sub_rays(parts, rays, plan.beams, response, detection);
     const std::vector<std::size_t> edges = find_edge_beams(parts, rays, plan.beams);
     if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
@@ -277,7 +277,7 @@ RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, co
 void ScanRenderer::Impl::simulate_weather(RenderedScan& scan, const SimulatedSweep& sweep,
                                           std::uint64_t seed) {
     const SimulatedSensor& sensor = sweep.sensor;
-    const Log& log = sweeps.sequence();
+    const Log& log = sweeps.log();
     // The data sheet is that of the LiDAR, not of a grid into which points are binned.
     const std::string& name =
         sensor.is_log_lidar ? log.lidars[std::size_t(sensor.lidar)].sensor.name : sensor.name;
@@ -305,7 +305,7 @@ void ScanRenderer::Impl::simulate_weather(RenderedScan& scan, const SimulatedSwe
 /// @param seed without a value, the scan keeps its expected values
 void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed) {
     const SimulatedSensor& sensor = sweep.sensor;
-    const Lidar& lidar = sweeps.sequence().lidars[std::size_t(sensor.lidar)];
+    const Lidar& lidar = sweeps.log().lidars[std::size_t(sensor.lidar)];
     const IntensityScatterModel& scatter = settings.scatter[std::size_t(sensor.lidar)];
     const bool is_clear = settings.weather.is_clear();
     // Weather is always random. Without a seed, it uses the seed 0.
@@ -365,7 +365,7 @@ ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& con
 
 /// Also uses what the run learned from its log about ray-drop, space and surfaces.
 ScanRenderer::ScanRenderer(Device& device, const Run& run)
-    : ScanRenderer(device, run.scene, run.config, run.sequence) {
+    : ScanRenderer(device, run.scene, run.config, run.log) {
     if (run.config.refine.enabled && !run.drop_network.empty()) use_network(run.drop_network);
     use_observed(run.coverage);
     use_classes(run.classes);
@@ -420,7 +420,7 @@ void ScanRenderer::use_observed(const ObservedVoxelSet& observed_voxels) {
 
 void ScanRenderer::use_scatter(const std::vector<IntensityScatterModel>& scatter) {
     impl_->settings.scatter = scatter;
-    impl_->settings.scatter.resize(impl_->sweeps.sequence().lidars.size());
+    impl_->settings.scatter.resize(impl_->sweeps.log().lidars.size());
 }
 
 void ScanRenderer::set_weather(const Weather& weather) {

@@ -5,7 +5,7 @@
 
 #include <relidar/diff/network_training.hpp>
 #include <relidar/diff/traversal.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "gpu/stream.hpp"
 #include "simulate/shared/render.h"

@@ -103,7 +103,7 @@ ActorHandle ScanRenderer::spawn(const std::string& actor, const std::string& nam
         return renderer.fill_slot(original->source, std::move(copy));
     }
     return renderer.fill_slot(renderer.sweeps.layout().instances[instance].model,
-                              make_spawned(name, find_box(renderer.sweeps.sequence(), actor)));
+                              make_spawned(name, find_box(renderer.sweeps.log(), actor)));
 }
 
 ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
@@ -114,7 +114,7 @@ ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
     Scene model;  // a scene with only the model of the actor
     model.instances = {{.model = 0, .track = track}};
     append_model(model, asset.scene, instance->model);
-    SpawnedActor actor = make_spawned(name, find_box(asset.sequence, track));
+    SpawnedActor actor = make_spawned(name, find_box(asset.log, track));
     renderer.finish_pending();
     // Equal models are added only once. Their hash identifies them.
     const std::uint64_t hash = hash_model(model);

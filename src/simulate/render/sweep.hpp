@@ -24,7 +24,7 @@ struct SimulatedSweep {
 class SimulatedSweepBuilder {
 public:
     /// @param config must outlive this object
-    SimulatedSweepBuilder(const Config& config, const Scene& scene, const Log& sequence);
+    SimulatedSweepBuilder(const Config& config, const Scene& scene, const Log& log);
     /// @throws UsageError if the number of instances is wrong
     void show_instances(const std::vector<bool>& shown);
     /// Copies a sensor with the azimuths that the log's LiDAR measured at `time_s`.
@@ -47,7 +47,7 @@ public:
     /// @throws UsageError if the scene has no actor with this name
     std::uint32_t find_actor(const std::string& name) const;
 
-    const Log& sequence() const { return log_; }
+    const Log& log() const { return log_; }
     const Scene& layout() const { return layout_; }
     bool is_background_shown() const {
         return is_shown_.front() && (layout_.models.front().count > 0 || !layout_.blocks.empty());

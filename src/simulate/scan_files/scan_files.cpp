@@ -9,7 +9,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/scene/labels.hpp>
 #include <relidar/simulate/point_files.hpp>
-#include "log/sequence/georeference_json.hpp"
+#include "log/georeference/georeference_json.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_folder.hpp"
@@ -214,11 +214,10 @@ std::string make_scan_format_help() {
 }
 
 std::int64_t time_shift_of(const Run& run, const SimulatedSensor& sensor, double first_scan_s) {
-    if (std::isinf(first_scan_s) && !run.sequence.frames.empty())
-        first_scan_s = run.sequence.frames.front().time_s;
+    if (std::isinf(first_scan_s) && !run.log.frames.empty()) first_scan_s = run.log.frames.front().time_s;
     double first_ray_s = sensor.pattern ? -scan_period_s(*sensor.pattern) : 0.0;
     for (const float t : sensor.rays.time_offset_s) first_ray_s = std::min(first_ray_s, 1.01 * double(t));
-    return time_shift_of(run.sequence, first_scan_s + first_ray_s);
+    return time_shift_of(run.log, first_scan_s + first_ray_s);
 }
 
 ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor) {
@@ -226,15 +225,15 @@ ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor)
     const Scene& scene = run.scene;
     for (const ModelInstance& instance : scene.instances)
         format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
-    for (const BoxTrack& box : run.sequence.boxes)
+    for (const BoxTrack& box : run.log.boxes)
         if (std::ranges::find(format.instance_names, box.id) != format.instance_names.end())
             format.actors.push_back(box);
     // Standing objects are visible only if the scene has a background.
     if (scene.models.front().count > 0 || !scene.blocks.empty())
-        format.standing = list_standing(scene, run.sequence, run.config.init);
-    format.world_offset_m = run.sequence.world_offset_m;
-    format.georeference = run.sequence.georeference;
-    const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
+        format.standing = list_standing(scene, run.log, run.config.init);
+    format.world_offset_m = run.log.world_offset_m;
+    format.georeference = run.log.georeference;
+    const Lidar& lidar = run.log.lidars[std::size_t(sensor.lidar)];
     format.vehicle_from_lidar = lidar.vehicle_from_sensor;
     format.rolling_shutter = is_rolling(sensor, run.config);
     name_topics(format, lidar.name);

@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/scene/scene.hpp>
@@ -28,7 +28,7 @@ struct ResumeFingerprint {
 };
 
 /// Returns hashes of the log, ordered by how well they explain a difference.
-std::vector<ResumeFingerprint> fingerprint_log(const Log& sequence, const Split& split);
+std::vector<ResumeFingerprint> fingerprint_log(const Log& log, const Split& split);
 ResumeFingerprint fingerprint_scene(const Scene& scene);
 
 std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey>& settings,

@@ -56,9 +56,9 @@ private:
 };
 
 /// Returns a readable text and a hash of the frames' numbers.
-std::string hash_frames(const Log& sequence, const std::vector<int>& frame_indices) {
+std::string hash_frames(const Log& log, const std::vector<int>& frame_indices) {
     std::vector<int> numbers;
-    for (const int position : frame_indices) numbers.push_back(sequence.frames[std::size_t(position)].index);
+    for (const int position : frame_indices) numbers.push_back(log.frames[std::size_t(position)].index);
     RunningHash hash;
     hash.add_to_hash(numbers);
     const int first = numbers.empty() ? -1 : numbers.front(), last = numbers.empty() ? -1 : numbers.back();
@@ -66,10 +66,10 @@ std::string hash_frames(const Log& sequence, const std::vector<int>& frame_indic
 }
 
 /// Returns a hash of the measurements of these frames.
-std::string hash_scans(const Log& sequence, const std::vector<int>& frame_indices) {
+std::string hash_scans(const Log& log, const std::vector<int>& frame_indices) {
     RunningHash hash;
     for (const int position : frame_indices) {
-        const Scan& scan = sequence.frames[std::size_t(position)].scan;
+        const Scan& scan = log.frames[std::size_t(position)].scan;
         hash.add_to_hash(scan.rays.direction);
         hash.add_to_hash(scan.range_m);
         hash.add_to_hash(scan.intensity);
@@ -78,9 +78,9 @@ std::string hash_scans(const Log& sequence, const std::vector<int>& frame_indice
 }
 
 /// Returns a hash of all labelled boxes with their poses.
-std::string hash_boxes(const Log& sequence) {
+std::string hash_boxes(const Log& log) {
     RunningHash hash;
-    for (const BoxTrack& box : sequence.boxes) {
+    for (const BoxTrack& box : log.boxes) {
         hash.add_to_hash(box.id);
         hash.add_to_hash(box.category);
         hash.add_to_hash(&box.size_m, sizeof box.size_m);
@@ -167,13 +167,13 @@ TrainProgress make_progress(int step, const Config& config, double elapsed_s,
 
 }  // namespace
 
-std::vector<ResumeFingerprint> fingerprint_log(const Log& sequence, const Split& split) {
+std::vector<ResumeFingerprint> fingerprint_log(const Log& log, const Split& split) {
     RunningHash poses;
-    poses.add_to_hash(sequence.world_from_vehicle);
-    return {{"log/training frames", "the log's training frames", hash_frames(sequence, split.train)},
-            {"log/scans", "the log's scans", hash_scans(sequence, split.train)},
+    poses.add_to_hash(log.world_from_vehicle);
+    return {{"log/training frames", "the log's training frames", hash_frames(log, split.train)},
+            {"log/scans", "the log's scans", hash_scans(log, split.train)},
             {"log/sensor poses", "the log's sensor poses", poses.hex_digest()},
-            {"log/boxes", "the log's boxes", hash_boxes(sequence)}};
+            {"log/boxes", "the log's boxes", hash_boxes(log)}};
 }
 
 ResumeFingerprint fingerprint_scene(const Scene& scene) {

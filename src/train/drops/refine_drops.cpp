@@ -35,7 +35,7 @@ bool affects_network(const std::string& setting_key) {
 
 /// Returns hashes of the log and the scene, which a resumed training compares.
 std::vector<ResumeFingerprint> fingerprint_run(const Run& run) {
-    std::vector<ResumeFingerprint> fingerprints = fingerprint_log(run.sequence, run.split);
+    std::vector<ResumeFingerprint> fingerprints = fingerprint_log(run.log, run.split);
     fingerprints.push_back(fingerprint_scene(run.scene));
     return fingerprints;
 }
@@ -55,11 +55,11 @@ bool uses_grid_rays(const Config& config) {
 /// Returns the rays along which a frame is rendered to train the network. If the network
 /// corrects range images (refine.image is "grid"), these are the rays of the cells,
 /// otherwise the rays of the LiDAR.
-SimulatedSensor choose_sensor(const Config& config, const Log& sequence, const Frame& frame) {
-    if (!uses_grid_rays(config)) return nominal_sensor(config, sequence, frame);
-    SimulatedSensor sensor = make_sensor(config, sequence, frame.lidar);
+SimulatedSensor choose_sensor(const Config& config, const Log& log, const Frame& frame) {
+    if (!uses_grid_rays(config)) return nominal_sensor(config, log, frame);
+    SimulatedSensor sensor = make_sensor(config, log, frame.lidar);
     // the network learns from the scans of the log
-    sensor.rolling_shutter = sequence.rolling_shutter;
+    sensor.rolling_shutter = log.rolling_shutter;
     return sensor;
 }
 
@@ -136,7 +136,7 @@ struct TrainingImages {
 /// Returns the drops that the network learns, [pixels]: 0 returned, 1 dropped, -1 unused.
 std::vector<float> learned_drops(const Run& run, const Config& config, const Frame& frame,
                                  const IgnoredMeasurements& masks) {
-    std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
+    std::vector<float> dropped = classify_drops(run.log, frame, masks);
     return uses_grid_rays(config) ? drops_to_grid(config, frame, dropped) : dropped;
 }
 
@@ -144,7 +144,7 @@ std::vector<float> learned_drops(const Run& run, const Config& config, const Fra
 /// the values of its pixels that the network learns (-1: not learned), to `training`.
 void add_image(TrainingImages& training, ScanRenderer& renderer, const Run& run, const Config& config,
                const Frame& frame, const IgnoredMeasurements& masks) {
-    SimulatedSensor sensor = choose_sensor(config, run.sequence, frame);
+    SimulatedSensor sensor = choose_sensor(config, run.log, frame);
     // A stripe is some neighbouring columns. A network of single pixels needs no
     // neighbours, so some stripes of each image suffice.
     const bool uses_stripes = config.refine.network == "pixel" && !sensor.grid;
@@ -154,26 +154,26 @@ void add_image(TrainingImages& training, ScanRenderer& renderer, const Run& run,
     sensor.rays = stripes.stripe_rays(rotate_rays(std::move(sensor.rays), 0.5f));
     const RenderedScan scan = renderer.render(sensor, frame.time_s);
     RayDropImage& image = training.images.emplace_back(
-        make_drop_image(scan, channel_names(config.refine), first_position(run.sequence)));
+        make_drop_image(scan, channel_names(config.refine), first_position(run.log)));
     image.dropped = stripes.stripe_values(learned_drops(run, config, frame, masks));
     // The output of the network does not change rays that the scene always drops.
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (scan.image.drop_prob[i] == 1.0f) image.dropped[i] = -1.0f;
     // A ray of a grid belongs to no beam, so it cannot help to fit the offsets of beams.
-    if (!uses_grid_rays(config)) training.add_actor_pixels(run.sequence, frame.lidar, scan);
+    if (!uses_grid_rays(config)) training.add_actor_pixels(run.log, frame.lidar, scan);
 }
 
 /// Renders the training images of the network. Returns no image if the user stopped.
 TrainingImages render_images(Device& device, const Run& run, const Config& config,
                              const RayDropTrainingSession& session) {
     const std::vector<int> positions =
-        select_evenly(select_frames(run.config, run.sequence, run.split.train), run.config.refine.frames);
+        select_evenly(select_frames(run.config, run.log, run.split.train), run.config.refine.frames);
     if (positions.empty())
         fail(
             "cannot train the ray-drop network of {}: no training frame has its rays in rows and columns, "
             "which the network needs",
-            run.sequence.name);
-    ScanRenderer renderer(device, run.scene, config, run.sequence);
+            run.log.name);
+    ScanRenderer renderer(device, run.scene, config, run.log);
     const IgnoredMeasurements masks = mask_movers(config, run.scene);
     if (properties_of(config.image.primitive).has_normals) renderer.add_channels("incidence");  // an input
     TrainingImages result;
@@ -181,7 +181,7 @@ TrainingImages render_images(Device& device, const Run& run, const Config& confi
         if (session.progress)
             session.progress("rendering training frames",
                              double(result.images.size()) / double(positions.size()));
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const Frame& frame = run.log.frames[std::size_t(position)];
         add_image(result, renderer, run, config, frame, masks);
         if (session.stop && session.stop()) return {};
     }
@@ -271,7 +271,7 @@ RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTraining
     const std::vector<float> actor_logits =
         config.refine.network == "paper" || training.actor_pixels.empty()
             ? std::vector<float>{}
-            : fit_actor_logits(training, channel_names(config.refine), run.sequence.count_beams());
+            : fit_actor_logits(training, channel_names(config.refine), run.log.count_beams());
     CheckpointFolder checkpoints({
         .folder = session.checkpoints,
         .newest_iteration = session.start ? session.start->iteration : 0,

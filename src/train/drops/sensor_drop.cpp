@@ -15,9 +15,9 @@ constexpr std::uint32_t kMinRaysPerRate = 60;  // with fewer, a hole in the scen
 constexpr double kMinSectorShare = 10.0 / 360.0;  // minimum width of a sector / full circle
 constexpr float kMinBlindRate = 0.95f;  // share of dropped rays from which a beam is blind at an azimuth
 
-int count_azimuth_bins(const Log& sequence) {
+int count_azimuth_bins(const Log& log) {
     int columns = 0;
-    for (const Lidar& lidar : sequence.lidars) columns = std::max(columns, lidar.sensor.columns);
+    for (const Lidar& lidar : log.lidars) columns = std::max(columns, lidar.sensor.columns);
     return std::max(1, columns / kColumnsPerBin);
 }
 
@@ -51,9 +51,9 @@ std::size_t wrapped_bin(const RayDropTable& table, std::size_t beam, int bin) {
 /// Counts the rays and drops of each beam in azimuth bins of about three columns.
 class RayDropCounts {
 public:
-    explicit RayDropCounts(const Log& sequence)
-        : sequence_(sequence),
-          index_{int(sequence.count_beams()), count_azimuth_bins(sequence), {}},
+    explicit RayDropCounts(const Log& log)
+        : log_(log),
+          index_{int(log.count_beams()), count_azimuth_bins(log), {}},
           rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
           drops_(rays_.size(), 0) {}
     /// Ignores rays that may have hit the body that carries the LiDAR. Several threads
@@ -62,7 +62,7 @@ public:
     RayDropTable persistent_rates() const;
 
 private:
-    const Log& sequence_;
+    const Log& log_;
     RayDropTable index_;  ///< contains no probabilities; used only for the layout of the bins
     std::vector<std::uint32_t> rays_, drops_;
 
@@ -74,8 +74,8 @@ private:
 };
 
 void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
-    const auto beam = sequence_.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]);
-    const BodyTable& own_body = sequence_.lidar_of(frame).own_body;
+    const auto beam = log_.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]);
+    const BodyTable& own_body = log_.lidar_of(frame).own_body;
     if (!beam || own_body.hides(frame.scan.rays.direction[ray], frame.scan.range_m[ray])) return;
     const std::size_t bin = index_.index_of(*beam, frame.scan.rays.direction[ray]);
     const bool has_return = frame.scan.range_m[ray] > 0.0f;
@@ -132,10 +132,10 @@ void RayDropCounts::drop_unfired(RayDropTable& drop_table, int channel) const {
 
 }  // namespace
 
-RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frame_indices) {
-    RayDropCounts counts(sequence);
+RayDropTable measure_drops(const Log& log, const std::vector<int>& frame_indices) {
+    RayDropCounts counts(log);
     parallel_for(static_cast<int>(frame_indices.size()), [&](int k) {
-        const Frame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(k)])];
+        const Frame& frame = log.frames[std::size_t(frame_indices[std::size_t(k)])];
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add_ray(frame, i);
     });
     return counts.persistent_rates();
@@ -144,10 +144,10 @@ RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frame_in
 namespace {
 
 /// Returns the indices of the beams of a LiDAR among the beams of all LiDARs.
-std::vector<std::size_t> list_global_beams(const Log& sequence, std::size_t lidar) {
+std::vector<std::size_t> list_global_beams(const Log& log, std::size_t lidar) {
     std::vector<std::size_t> beams;
-    for (std::size_t beam = 0; beam < sequence.lidars[lidar].sensor.beams.size(); ++beam)
-        if (const auto global_beam = sequence.find_global_beam(int(lidar), std::uint16_t(beam)))
+    for (std::size_t beam = 0; beam < log.lidars[lidar].sensor.beams.size(); ++beam)
+        if (const auto global_beam = log.find_global_beam(int(lidar), std::uint16_t(beam)))
             beams.push_back(std::size_t(*global_beam));
     return beams;
 }
@@ -161,16 +161,16 @@ int azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
 
 }  // namespace
 
-void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& sequence) {
+void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& log) {
     const int n_bins = observed_drop_rates.bins;
     // A bin is an azimuth interval of a beam. In a blind bin, (almost) no ray returned. A
     // sector is a run of bins in which all beams of the LiDAR are blind.
     const auto is_blind_at = [&](std::size_t beam, int bin) {
         return observed_drop_rates.probability[wrapped_bin(observed_drop_rates, beam, bin)] >= kMinBlindRate;
     };
-    for (std::size_t lidar = 0; lidar < sequence.lidars.size(); ++lidar) {
-        const SpinningSensor& sensor = sequence.lidars[lidar].sensor;
-        const std::vector<std::size_t> beams = list_global_beams(sequence, lidar);
+    for (std::size_t lidar = 0; lidar < log.lidars.size(); ++lidar) {
+        const SpinningSensor& sensor = log.lidars[lidar].sensor;
+        const std::vector<std::size_t> beams = list_global_beams(log, lidar);
         if (beams.empty()) continue;
         const auto are_all_blind_at = [&](int bin) {
             return std::ranges::all_of(beams, [&](std::size_t beam) { return is_blind_at(beam, bin); });

@@ -7,7 +7,7 @@
 #include <cstdint>
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 
@@ -16,12 +16,12 @@ namespace relidar {
 /// rays. A bin gets the highest rate of the intervals that contain it, but at most its
 /// own rate. The rate is 0 if the beam has fewer than 60 rays. It is 1 in a sector of at
 /// least 10 degrees in which the beam never fires.
-RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frames);
+RayDropTable measure_drops(const Log& log, const std::vector<int>& frames);
 
 /// Sets the drop probability to 1 in sectors of at least 10 degrees in which no beam of a
 /// LiDAR has a return. The scene has no surfaces there.
 /// @param observed_drop_rates  result of measure_drops()
-void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& sequence);
+void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& log);
 
 /// Returns true if the beam of this ray was dropped at least 95 % of the time at this
 /// azimuth. Training ignores such rays.

@@ -69,23 +69,23 @@ glm::dvec2 PosedBox::intersect_m(const WorldRay& ray, double margin_m) const {
     return inside ? glm::dvec2(std::max(inside->enter, 0.0), inside->leave) : glm::dvec2(1.0, 0.0);
 }
 
-void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMeasurements& mask_rules,
+void make_frame_arrays(const Log& log, const Frame& frame, const IgnoredMeasurements& mask_rules,
                        std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
-    const std::vector<MovingBoxMask> boxes = list_masked_boxes(sequence, timing_of(frame), mask_rules);
-    const PoseTrack track = sequence.lidar_track(frame.lidar);
-    const BodyTable& own_body = sequence.lidar_of(frame).own_body;
+    const std::vector<MovingBoxMask> boxes = list_masked_boxes(log, timing_of(frame), mask_rules);
+    const PoseTrack track = log.lidar_track(frame.lidar);
+    const BodyTable& own_body = log.lidar_of(frame).own_body;
     rays.resize(scan.range_m.size());
     targets.resize(scan.range_m.size());
     parallel_blocks(scan.range_m.size(), [&](std::size_t index) {
-        const WorldRay ray = make_world_ray(track, frame.time_s, scan.rays, index, sequence.rolling_shutter);
-        const float time_offset_s = sequence.rolling_shutter ? scan.rays.time_offset_s[index] : 0.0f;
+        const WorldRay ray = make_world_ray(track, frame.time_s, scan.rays, index, log.rolling_shutter);
+        const float time_offset_s = log.rolling_shutter ? scan.rays.time_offset_s[index] : 0.0f;
         rays[index] = {glm::vec3(ray.origin_m), glm::vec3(ray.direction), time_offset_s};
         // A blind ray: its beam is nearly always dropped at this azimuth.
-        const bool is_ignored = is_blind_ray(mask_rules.observed_drops, sequence, frame, index) ||
+        const bool is_ignored = is_blind_ray(mask_rules.observed_drops, log, frame, index) ||
                                 own_body.hides(scan.rays.direction[index], scan.range_m[index]) ||
                                 is_ray_masked(boxes, ray, double(time_offset_s), scan.range_m[index]);
-        const SurfaceReturn surface = surface_return(sequence, frame, index);
+        const SurfaceReturn surface = surface_return(log, frame, index);
         targets[index] = {
             .range_m = surface.range_m, .intensity = surface.intensity, .weight = is_ignored ? 0.0f : 1.0f};
     });
@@ -109,13 +109,13 @@ RayBatch TrainingFrameData::strided_batch(std::uint32_t first_ray, std::uint32_t
             .targets = &loss_targets()};
 }
 
-SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame) {
-    SimulatedSensor sensor = choose_sensor("native", config, sequence, frame.lidar);
+SimulatedSensor nominal_sensor(const Config& config, const Log& log, const Frame& frame) {
+    SimulatedSensor sensor = choose_sensor("native", config, log, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns) {
         sensor.rays = frame.scan.rays;
         sensor.follows_sweeps = false;
     }
-    sensor.rolling_shutter = sequence.rolling_shutter;  // same setting as in the measured scan
+    sensor.rolling_shutter = log.rolling_shutter;  // same setting as in the measured scan
     return sensor;
 }
 
@@ -125,7 +125,7 @@ IgnoredMeasurements mask_movers(const Config& config, const Scene& scene) {
 
 TrainingRays make_training_rays(const Run& run, const Frame& frame) {
     TrainingRays made;
-    make_frame_arrays(run.sequence, frame, mask_movers(run.config, run.scene), made.rays, made.targets);
+    make_frame_arrays(run.log, frame, mask_movers(run.config, run.scene), made.rays, made.targets);
     return made;
 }
 

@@ -9,7 +9,7 @@
 #include <relidar/diff/loss.hpp>
 #include <relidar/diff/traversal.hpp>
 #include <relidar/gpu/stream.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/scene/scene.hpp>
 
@@ -77,12 +77,12 @@ struct IgnoredMeasurements {
 /// Computes the rays of a frame in the world, and their measurements. Rays that the
 /// background must not learn get weight 0: returns from inside a moving box, and dropped
 /// rays that may have hit such a box.
-void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMeasurements& mask_rules,
+void make_frame_arrays(const Log& log, const Frame& frame, const IgnoredMeasurements& mask_rules,
                        std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
 
 /// Returns the sensor with the nominal rays of a frame's LiDAR (without jitter). If the
 /// scan has other rows and columns than the LiDAR, the sensor has the rays of the scan.
-SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame);
+SimulatedSensor nominal_sensor(const Config& config, const Log& log, const Frame& frame);
 
 /// Returns rules that ignore moving boxes, except the actors that the scene contains.
 IgnoredMeasurements mask_movers(const Config& config, const Scene& scene);

@@ -13,7 +13,7 @@
 
 namespace relidar {
 
-Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGrid& grid) {
+Frame frame_to_grid(const Log& log, const Frame& frame, const RangeImageGrid& grid) {
     constexpr double kGridPeriod_s = 0.1;  // sweep duration that make_rays() assumes for a grid
     const Scan& scan = frame.scan;
     // The returns of the scan, and the ray of each.
@@ -31,7 +31,7 @@ Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGri
     result.scan.rays = make_rays(grid);
     result.scan.range_m.assign(image.range_m.begin(), image.range_m.end());
     result.scan.intensity.assign(image.intensity.begin(), image.intensity.end());
-    const auto period_ratio = static_cast<float>(sequence.lidar_of(frame).sweep_period_s() / kGridPeriod_s);
+    const auto period_ratio = static_cast<float>(log.lidar_of(frame).sweep_period_s() / kGridPeriod_s);
     for (std::size_t cell = 0; cell < image.source.size(); ++cell) {
         float& time_s = result.scan.rays.time_offset_s[cell];
         time_s *= period_ratio;                // remains the time of a cell without a return
@@ -50,8 +50,8 @@ constexpr std::size_t kPreparedAtOnce = 32;  // frames prepared in parallel in h
 
 /// Returns the absolute time at which a ray was fired. Without rolling shutter, all rays
 /// of a frame have the time of the frame.
-double firing_time_s(const Log& sequence, const Frame& frame, float offset_s) {
-    return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
+double firing_time_s(const Log& log, const Frame& frame, float offset_s) {
+    return frame.time_s + (log.rolling_shutter ? double(offset_s) : 0.0);
 }
 
 /// Frame with the trained rays: a copy with the rays of a grid, or the frame of the log.
@@ -125,7 +125,7 @@ std::size_t TrainingFrames::bytes_per_ray() const {
 
 TrainingFrames::TrainingFrames(Device& device, const Log& log, const std::vector<int>& frame_indices,
                                FrameUploadOptions use)
-    : sequence_(log), use_(std::move(use)) {
+    : log_(log), use_(std::move(use)) {
     for (const int position : frame_indices) frames_.push_back(describe_frame(log, position, use_.grid));
     std::uint64_t bytes = 0;  // device memory of the frames so far
     for (const TrainingFrameData& frame : frames_) {
@@ -166,14 +166,14 @@ void TrainingFrames::upload_frames(Device& device) {
 /// which vehicle poses each ray was fired.
 TrainingFrames::HostFrameArrays TrainingFrames::compute_arrays(std::size_t frame_index) const {
     const TrainingFrameData& data = frames_[frame_index];
-    const TrainedFrame trained(sequence_, data.position, use_.grid);
+    const TrainedFrame trained(log_, data.position, use_.grid);
     const Frame& frame = trained.frame;
     HostFrameArrays host;
-    make_frame_arrays(sequence_, frame, use_.unknown, host.rays, host.targets);
+    make_frame_arrays(log_, frame, use_.unknown, host.rays, host.targets);
     if (use_.moves_rays)
         for (const float offset_s : frame.scan.rays.time_offset_s) {
             const TrackInterpolation track_position =
-                sequence_.world_from_vehicle.find_segment(firing_time_s(sequence_, frame, offset_s));
+                log_.world_from_vehicle.find_segment(firing_time_s(log_, frame, offset_s));
             host.track_positions.push_back({static_cast<std::uint32_t>(track_position.left - data.first_knot),
                                             static_cast<float>(track_position.s)});
         }

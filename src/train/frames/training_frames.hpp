@@ -17,7 +17,7 @@ namespace relidar {
 /// cell of the grid (train.grid). A cell gets the range, intensity, time and beam of its
 /// nearest return (Eq. 6-7). A cell without a return becomes a dropped ray at the time at
 /// which the LiDAR's head faces it. Second returns are removed.
-Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGrid& grid);
+Frame frame_to_grid(const Log& log, const Frame& frame, const RangeImageGrid& grid);
 
 struct FrameUploadOptions {
     IgnoredMeasurements unknown;
@@ -53,7 +53,7 @@ private:
         std::vector<shared::PoseInterpolation> track_positions;
     };
 
-    const Log& sequence_;
+    const Log& log_;
     const FrameUploadOptions use_;
     std::vector<TrainingFrameData> frames_;
     std::size_t n_staying_ = 0;  ///< number of frames that stay on the device; they are the first frames

@@ -30,16 +30,16 @@ Config surface_config(Config config) {
 std::vector<SurfaceHit> render_surfaces(ScanRenderer& renderer, const Run& run, int frame_index,
                                         const std::vector<std::size_t>& ray_indices,
                                         const PoseTrack& world_from_vehicle) {
-    const Frame& frame = run.sequence.frames[std::size_t(frame_index)];
+    const Frame& frame = run.log.frames[std::size_t(frame_index)];
     SimulatedSensor sensor;
     sensor.rays = select_rays(frame.scan.rays, ray_indices);
     sensor.follows_sweeps = false;
     sensor.lidar = frame.lidar;
-    sensor.rolling_shutter = run.sequence.rolling_shutter;
+    sensor.rolling_shutter = run.log.rolling_shutter;
     const PoseTrack world_from_sensor =
-        mount_track(world_from_vehicle, run.sequence.lidar_of(frame).vehicle_from_sensor);
+        mount_track(world_from_vehicle, run.log.lidar_of(frame).vehicle_from_sensor);
     // The renderer uses the world frame of the dataset, and the log that minus offset_m.
-    const glm::dvec3& offset_m = run.sequence.world_offset_m;
+    const glm::dvec3& offset_m = run.log.world_offset_m;
     const RenderedScan scan =
         renderer.render(sensor, {frame.time_s, shift_track(world_from_sensor, offset_m), {}});
     const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
@@ -66,23 +66,23 @@ HeldOutPoseReport register_held_out(Device& device, Run& run, const ScanCallback
         run.held_out_placed = true;
         return result;
     }
-    const RegistrationOptions options = registration_options(run.sequence, config);
-    ScanRenderer renderer(device, run.scene, surface_config(config), run.sequence);
+    const RegistrationOptions options = registration_options(run.log, config);
+    ScanRenderer renderer(device, run.scene, surface_config(config), run.log);
     const std::vector<std::vector<UnobservedMotion>> unobserved =
-        find_unobserved_motions(run.sequence, run.split.train, options);
-    PoseTrack track = run.sequence.world_from_vehicle;
+        find_unobserved_motions(run.log, run.split.train, options);
+    PoseTrack track = run.log.world_from_vehicle;
     std::vector<double> moved_m;
     // Indices of the vehicle poses of the held-out sweeps. LiDARs that sweep at the same
     // time have the same pose, so their scans are aligned together.
     std::set<std::size_t> poses;
     for (const int position : run.split.test)
-        poses.insert(run.sequence.find_pose_index(run.sequence.frames[std::size_t(position)]));
+        poses.insert(run.log.find_pose_index(run.log.frames[std::size_t(position)]));
     for (const std::size_t pose : poses) {
         if (session.progress)
             session.progress("aligning held-out scans", double(result.scans) / double(poses.size()));
         if (session.stop && session.stop()) return {};
         const ScanAlignment placed = align_scan(
-            run.sequence, pose,
+            run.log, pose,
             [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& from) {
                 return render_surfaces(renderer, run, position, rays, from);
             },
@@ -93,7 +93,7 @@ HeldOutPoseReport register_held_out(Device& device, Run& run, const ScanCallback
         moved_m.push_back(placed.moved_m);
     }
     if (session.progress) session.progress("aligning held-out scans", 1.0);
-    run.sequence.world_from_vehicle = std::move(track);
+    run.log.world_from_vehicle = std::move(track);
     run.held_out_placed = true;
     result.placed = moved_m.size();
     if (moved_m.empty()) return result;

@@ -37,9 +37,9 @@ constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
 /// Small weights of the squared corrections in the loss. Rays outweigh them.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
-Log copy_without_scans(const Log& sequence) {
-    Log result = strip_frames(sequence);
-    for (const Frame& frame : sequence.frames) result.frames.push_back(strip_scan(frame));
+Log copy_without_scans(const Log& log) {
+    Log result = strip_frames(log);
+    for (const Frame& frame : log.frames) result.frames.push_back(strip_scan(frame));
     return result;
 }
 
@@ -215,23 +215,22 @@ void TrackCorrection::remove_mean_motion() {
 
 /// Prepares the corrections that train.refine_poses selects: of the sensor poses, which
 /// need the gradients of rays, and of the actors' boxes, which need those of instances.
-PoseRefiner::PoseRefiner(Device& device, const Log& sequence, const Scene& layout, const TrainConfig& config,
+PoseRefiner::PoseRefiner(Device& device, const Log& log, const Scene& layout, const TrainConfig& config,
                          const TrainingFrames& frames, std::vector<std::vector<UnobservedMotion>> unobserved)
     : config_(config),
       is_active_(config.refine_poses != "none"),
       frames_(frames),
       layout_(strip_surfels(layout)),
-      poses_(copy_without_scans(sequence)) {
+      poses_(copy_without_scans(log)) {
     if (config.refines("sensor")) {
-        sensor_.emplace(sequence.world_from_vehicle, std::move(unobserved));
+        sensor_.emplace(log.world_from_vehicle, std::move(unobserved));
         rays_.emplace(device, frames.all());
         sensor_readback_.emplace(device, rays_->partial_sums().size(), "pose gradients of rays");
     }
     if (!config.refines("actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
-        if (const BoxTrack* box = find_box(sequence, layout_.instances[i].track))
-            actors_.push_back(
-                {i, std::size_t(box - sequence.boxes.data()), TrackCorrection(box->world_from_box)});
+        if (const BoxTrack* box = find_box(log, layout_.instances[i].track))
+            actors_.push_back({i, std::size_t(box - log.boxes.data()), TrackCorrection(box->world_from_box)});
     }
     if (actors_.empty()) return;
     // 6 values per instance: rotation and translation

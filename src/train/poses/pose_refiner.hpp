@@ -12,7 +12,7 @@
 #include <vector>
 
 #include <relidar/gpu/stream.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/registration/registration.hpp>
 #include <relidar/scene/scene.hpp>
 
@@ -136,7 +136,7 @@ public:
     /// @param config  with train.refine_poses=none, all functions do nothing
     /// @param unobserved  motions of the vehicle that stay as they are, see
     /// find_unobserved_motions()
-    PoseRefiner(Device& device, const Log& sequence, const Scene& layout, const TrainConfig& config,
+    PoseRefiner(Device& device, const Log& log, const Scene& layout, const TrainConfig& config,
                 const TrainingFrames& frames, std::vector<std::vector<UnobservedMotion>> unobserved);
 
     bool is_enabled() const { return is_active_; }
@@ -171,7 +171,7 @@ public:
 private:
     struct RefinedActor {
         std::size_t instance;  ///< index of the instance in the scene
-        std::size_t box;       ///< index of the box in the sequence
+        std::size_t box;       ///< index of the box in the log
         TrackCorrection correction;
     };
 

@@ -12,6 +12,6 @@ inline bool registers_sensors(const TrainConfig& config) {
 
 /// Returns the registration options that follow from the settings. The caller must set
 /// RegistrationOptions::stop, progress and group.
-RegistrationOptions registration_options(const Log& sequence, const Config& config);
+RegistrationOptions registration_options(const Log& log, const Config& config);
 
 }  // namespace relidar

@@ -87,24 +87,24 @@ TEST(Coverage, AlongAnAxisAndAtRestCellsAreFoundToo) {
 
 /// Makes a LiDAR at 2 m with beams at 20, 0, -20 and -40 degrees and 360 columns.
 Log make_sweep(const std::array<float, 4>& range_m) {
-    Log sequence;
-    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    Log log;
+    SpinningSensor& sensor = log.lidars[0].sensor;
     for (const double degrees : {20.0, 0.0, -20.0, -40.0}) sensor.beams.push_back({degrees * kPi / 180.0});
     sensor.columns = 360;
-    sequence.world_from_vehicle = {{0.0}, {Pose{{1, 0, 0, 0}, {0, 0, 2.0}}}};
+    log.world_from_vehicle = {{0.0}, {Pose{{1, 0, 0, 0}, {0, 0, 2.0}}}};
     Frame frame;
     frame.scan.rays = make_rays(sensor);
     for (const std::uint16_t channel : frame.scan.rays.channel)
         frame.scan.range_m.push_back(range_m[channel]);
     frame.scan.intensity.assign(frame.scan.rays.size(), 0.0f);
-    sequence.frames.push_back(std::move(frame));
-    sequence.rolling_shutter = false;
-    return sequence;
+    log.frames.push_back(std::move(frame));
+    log.rolling_shutter = false;
+    return log;
 }
 
 ObservedVoxelSet observe(const std::array<float, 4>& range_m) {
-    const Log sequence = make_sweep(range_m);
-    return observe_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    const Log log = make_sweep(range_m);
+    return observe_coverage(log, log.world_from_vehicle, {0}, 80.0);
 }
 
 double seen(const ObservedVoxelSet& coverage, double elevation_deg, double from_m, double to_m) {

@@ -150,15 +150,15 @@ TEST(DroppedRays, HaveAPositionThatIsRepeated) {
 
 TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
     const auto n_returns = [](float marker_m) {
-        Log sequence;
-        add_frame(sequence, 0, 0.0, Pose{});
-        Scan& scan = sequence.frames[0].scan;
+        Log log;
+        add_frame(log, 0, 0.0, Pose{});
+        Scan& scan = log.frames[0].scan;
         scan = scan_of_points(LidarPoints{make_measured_points(2000), std::vector<float>(2000, 0.5f)});
         for (std::size_t i = 0; i < 2000; ++i) {
             scan.rays.channel[i] = std::uint16_t(i % 16);
             if (i % 10 == 0) scan.range_m[i] = marker_m * (1.0f + 1e-7f * float(i % 3));
         }
-        remove_drop_markers(sequence);
+        remove_drop_markers(log);
         return scan.count_returns();
     };
     EXPECT_EQ(n_returns(100.0f), 1800u);
@@ -228,13 +228,13 @@ public:
 
 TEST(ReadScans, ReadsEachScanOnce) {
     constexpr std::size_t kFrames = 9;  // more than are looked at to find the sensor
-    Log sequence;
-    for (std::size_t i = 0; i < kFrames; ++i) add_frame(sequence, int(i), 0.1 * double(i), Pose{});
+    Log log;
+    for (std::size_t i = 0; i < kFrames; ++i) add_frame(log, int(i), 0.1 * double(i), Pose{});
     const CountedScans source(kFrames);
-    read_scans(sequence, {.lidars = {{}}}, source, DatasetOptions{});
+    read_scans(log, {.lidars = {{}}}, source, DatasetOptions{});
     for (std::size_t i = 0; i < kFrames; ++i) {
         EXPECT_EQ(source.n_reads[i], 1) << "scan " << i;
-        EXPECT_EQ(sequence.frames[i].scan.count_returns(), 8u * 90u);
+        EXPECT_EQ(log.frames[i].scan.count_returns(), 8u * 90u);
     }
 }
 

@@ -87,7 +87,7 @@ TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
         const auto images = test::load_real_images(std::string(name) + ".npz", "", test::kSingle);
         if (!images) GTEST_SKIP() << name << " is not there; RELIDAR_SHARED names another folder";
         const OusterImages& scans = *images;
-        const Log log = load_sequence(write_folder(scans, name, true).string(), {.max_range_m = 400.0});
+        const Log log = load_log(write_folder(scans, name, true).string(), {.max_range_m = 400.0});
         ASSERT_EQ(log.frames.size(), scans.frames);
         for (std::size_t f = 0; f < scans.frames; ++f) {
             std::size_t right = 0, all = 0;
@@ -108,7 +108,7 @@ TEST(OusterFolder, BeamsAreFoundInThePoints) {
     const auto images = test::load_real_images("OS-1-128_v2.3.0_1024x10_lb_n3.npz", "", test::kSingle);
     if (!images) GTEST_SKIP() << "the scans are not there; RELIDAR_SHARED names another folder";
     const OusterImages& scans = *images;
-    const Log log = load_sequence(write_folder(scans, "found", false).string(), {.max_range_m = 400.0});
+    const Log log = load_log(write_folder(scans, "found", false).string(), {.max_range_m = 400.0});
     const SpinningSensor& sensor = log.lidars[0].sensor;
     EXPECT_EQ(sensor.columns, int(scans.columns));
     ASSERT_EQ(sensor.beams.size(), scans.rows);

@@ -35,7 +35,7 @@ fs::path make_fresh_folder(const std::string& name) {
 
 Log load(const fs::path& file, DatasetOptions options = {}) {
     options.max_range_m = 400.0;
-    return load_sequence(file.string(), options);
+    return load_log(file.string(), options);
 }
 std::string load_error(const fs::path& file) {
     return test::find_load_error(file.string(), {.max_range_m = 400.0});

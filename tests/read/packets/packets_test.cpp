@@ -266,7 +266,7 @@ Log write_and_load_log(const SpinningSensor& sensor, const PacketOptions& option
     const PacketCalibrationFile calibration = encoder.calibration_file();
     if (!calibration.ending.empty())
         std::ofstream(std::filesystem::path(file).replace_extension(calibration.ending)) << calibration.text;
-    return load_sequence(file.string(), {.poses_file = kNoPoses, .max_range_m = sensor.max_range_m});
+    return load_log(file.string(), {.poses_file = kNoPoses, .max_range_m = sensor.max_range_m});
 }
 
 /// Compares ray `i` of a decoded scan with a ray of the written scan.

@@ -20,9 +20,9 @@ using test::Names;
 
 void cut(const fs::path& file) { fs::resize_file(file, fs::file_size(file) / 2 + 1); }
 
-std::vector<int> numbers(const Log& sequence) {
+std::vector<int> numbers(const Log& log) {
     std::vector<int> numbers;
-    for (const Frame& frame : sequence.frames) numbers.push_back(frame.index);
+    for (const Frame& frame : log.frames) numbers.push_back(frame.index);
     numbers.erase(std::unique(numbers.begin(), numbers.end()), numbers.end());
     return numbers;
 }
@@ -32,11 +32,11 @@ std::vector<int> numbers(const Log& sequence) {
 Log expect_left_out(const fs::path& log, const fs::path& scan, int number, const std::string& part = {}) {
     SCOPED_TRACE(scan.string());
     const DatasetOptions skipping{.sequence = part, .skip_broken = true};
-    std::vector<int> expected = numbers(load_sequence(log.string(), skipping));
+    std::vector<int> expected = numbers(load_log(log.string(), skipping));
     EXPECT_EQ(std::erase(expected, number), 1u);
     cut(scan);
-    EXPECT_THROW(load_sequence(log.string(), {.sequence = part}), DataError);
-    Log left = load_sequence(log.string(), skipping);
+    EXPECT_THROW(load_log(log.string(), {.sequence = part}), DataError);
+    Log left = load_log(log.string(), skipping);
     EXPECT_EQ(numbers(left), expected);
     const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
         return test::find_missing_part(note, "skipped ... " + scan.filename().string()).empty();
@@ -50,7 +50,7 @@ TEST(BrokenScans, OfKittiAreAsMissingOnes) {
     const test::KittiDrive drive("broken_scans");
     const Log left = expect_left_out(drive.folder, drive.scan(1), 1);
     fs::remove(drive.scan(1));
-    const Log missing = load_sequence(drive.folder.string(), {});
+    const Log missing = load_log(drive.folder.string(), {});
     ASSERT_EQ(left.frames.size(), missing.frames.size());
     EXPECT_EQ(left.world_from_vehicle.time_s, missing.world_from_vehicle.time_s);
     for (std::size_t i = 0; i < left.frames.size(); ++i) {
@@ -60,7 +60,7 @@ TEST(BrokenScans, OfKittiAreAsMissingOnes) {
                                  missing.world_from_vehicle.pose[i].translation - missing.world_offset_m;
         EXPECT_LT(glm::length(apart), 1e-9) << i;
     }
-    EXPECT_NO_THROW(check_sequence(left));
+    EXPECT_NO_THROW(check_log(left));
 }
 
 TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
@@ -69,7 +69,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const std::size_t n = original.size() / 16;
     const auto put = [&](const std::string& bytes) { test::write_text(drive.scan(1), bytes); };
     const auto expect_left = [&](const std::string& reason) {
-        const Log left = load_sequence(drive.folder.string(), {});
+        const Log left = load_log(drive.folder.string(), {});
         EXPECT_EQ(numbers(left), (std::vector<int>{0, 2})) << reason;
         EXPECT_THAT(left.notes, testing::Contains(Names("0000000001.bin ... " + reason)));
     };
@@ -89,7 +89,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     for (const int remaining_deg : {120, 270}) {
         const auto n_missing = std::size_t(0.9 * 701 * (remaining_deg == 120 ? 240 : 360 + 90) / 360.0);
         put(original.substr(0, 16 * (n - n_missing)));
-        EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, early) << remaining_deg;
+        EXPECT_THAT(load_log(drive.folder.string(), {}).notes, early) << remaining_deg;
         expect_left("rings ... azimuth");
     }
     put(original);
@@ -108,7 +108,7 @@ void set_intensities(const test::KittiDrive& drive, float intensity) {
 TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
     const test::KittiDrive drive("intensities");
     set_intensities(drive, 51.0f);
-    const Log log = load_sequence(drive.folder.string(), {});
+    const Log log = load_log(drive.folder.string(), {});
     const Scan& scan = log.frames[0].scan;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
         if (scan.range_m[i] > 0.0f) {
@@ -120,7 +120,7 @@ TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
         drive.expect_error("0 ... 1 ... 255");
     }
     set_intensities(drive, 0.0f);
-    EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Contains(Names("intensities")));
+    EXPECT_THAT(load_log(drive.folder.string(), {}).notes, testing::Contains(Names("intensities")));
 }
 
 TEST(BrokenScans, OfNuscenesAndArgoverse) {
@@ -157,7 +157,7 @@ TEST_F(BareFolder, SaysTheLineThatItLacksAndThatLineDoes) {
     const std::string head = test::read_text(folder / "sequence.json");
     test::write_text(folder / "sequence.json", head.substr(0, head.size() - 1) +
                                                    R"(, "intensity_max": 255, "point_times": "absolute"})");
-    EXPECT_EQ(load_sequence(folder.string(), {.poses_file = kNoPoses}).frames.size(), 5u);
+    EXPECT_EQ(load_log(folder.string(), {.poses_file = kNoPoses}).frames.size(), 5u);
 }
 
 TEST_F(BareFolder, LeavesBrokenScansOut) {
@@ -169,7 +169,7 @@ TEST_F(BareFolder, LeavesBrokenScansOut) {
     test::write_text(folder / "poses.txt", poses);
     expect_left_out(folder, folder / scan(2), 2);
     cut(folder / scan(0));  // the first scans determine the beams
-    EXPECT_EQ(numbers(load_sequence(folder.string(), {.skip_broken = true})), (std::vector<int>{1, 3, 4}));
+    EXPECT_EQ(numbers(load_log(folder.string(), {.skip_broken = true})), (std::vector<int>{1, 3, 4}));
     for (const int i : {1, 3, 4}) cut(folder / scan(i));
     EXPECT_THAT(test::find_load_error(folder.string(), {.skip_broken = true}), Names("5 scans"));
 }

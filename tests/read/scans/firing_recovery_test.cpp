@@ -298,7 +298,7 @@ TEST(FiringRecovery, GivesAFolderItsRollingShutter) {
     const Recording recording = record({.turn = {false, kPi, -0.5}, .speed_mps = 15.0});
     const fs::path folder = write_folder(recording, "relidar_compensated");
     for (const char* poses : {"", kNoPoses}) {
-        const Log log = load_sequence(folder.string(), {.poses_file = poses});
+        const Log log = load_log(folder.string(), {.poses_file = poses});
         EXPECT_TRUE(log.rolling_shutter);
         EXPECT_FALSE(log.lidars[0].sensor.clockwise);
         const SpinningSensor truth = make_sensor();
@@ -310,12 +310,12 @@ TEST(FiringRecovery, GivesAFolderItsRollingShutter) {
         EXPECT_NEAR(double(std::ranges::min(times)), -0.05, 2e-3);
         EXPECT_NEAR(double(std::ranges::max(times)), 0.05, 2e-3);
     }
-    EXPECT_FALSE(load_sequence(folder.string(), {.rolling_shutter = false}).rolling_shutter);
+    EXPECT_FALSE(load_log(folder.string(), {.rolling_shutter = false}).rolling_shutter);
 }
 
 TEST(FiringRecovery, HintsAtAMissingFlag) {
     const auto has_hint = [](const Recording& recording) {
-        const Log log = load_sequence(write_folder(recording, "relidar_unmarked", false).string(), {});
+        const Log log = load_log(write_folder(recording, "relidar_unmarked", false).string(), {});
         return std::ranges::any_of(log.notes, [](const Note& note) {
             return note.text.find("\"motion_compensated\": true") != std::string::npos;
         });
@@ -326,8 +326,8 @@ TEST(FiringRecovery, HintsAtAMissingFlag) {
 
 TEST(FiringRecovery, KeepsAFolderOfAStandingVehicle) {
     const fs::path folder = write_folder(record({.speed_mps = 0.0}), "relidar_standing");
-    const Log log = load_sequence(folder.string(), {}),
-              as_is = load_sequence(folder.string(), {.rolling_shutter = false});
+    const Log log = load_log(folder.string(), {}),
+              as_is = load_log(folder.string(), {.rolling_shutter = false});
     EXPECT_FALSE(log.rolling_shutter);
     for (std::size_t f = 0; f < log.frames.size(); ++f) {
         EXPECT_EQ(log.frames[f].scan.range_m, as_is.frames[f].scan.range_m);

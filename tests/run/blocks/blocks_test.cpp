@@ -143,12 +143,12 @@ TEST(BlockLog, MovesAsTheLogDoes) {
     EXPECT_EQ(part.config.blocks.length_m, 0.0);
     EXPECT_EQ(part.split.train.size(), blocks[0].train.size());
     for (std::size_t i = 0; i < part.split.train.size(); ++i)
-        EXPECT_EQ(part.sequence.frames[std::size_t(part.split.train[i])].index,
+        EXPECT_EQ(part.log.frames[std::size_t(part.split.train[i])].index,
                   log.frames[std::size_t(blocks[0].train[i])].index);
-    for (const Frame& frame : part.sequence.frames)
+    for (const Frame& frame : part.log.frames)
         for (const double s : {-0.05, 0.0, 0.05}) {
             const double t = std::clamp(frame.time_s + s, 0.0, 29.9);
-            EXPECT_LT(glm::distance(part.sequence.world_from_vehicle.pose_at(t).translation,
+            EXPECT_LT(glm::distance(part.log.world_from_vehicle.pose_at(t).translation,
                                     log.world_from_vehicle.pose_at(t).translation),
                       1e-9)
                 << "at " << t << " s of frame " << frame.index;
@@ -177,10 +177,10 @@ TEST(BlockLog, HasTheBoxesThatComeNear) {
     config.init.actor_tracks = "far,near";
     const BlockTrainingLog first = cut_log(log, split, blocks[0], config),
                            third = cut_log(log, split, blocks[2], config);
-    ASSERT_THAT(first.sequence.boxes, SizeIs(1));
-    EXPECT_EQ(first.sequence.boxes[0].id, "near");
+    ASSERT_THAT(first.log.boxes, SizeIs(1));
+    EXPECT_EQ(first.log.boxes[0].id, "near");
     EXPECT_EQ(first.config.init.actor_tracks, "near");
-    EXPECT_THAT(third.sequence.boxes, SizeIs(0));
+    EXPECT_THAT(third.log.boxes, SizeIs(0));
     EXPECT_EQ(third.config.init.actor_tracks, "");
     EXPECT_EQ(third.config.init.actor_classes, "");
 }
@@ -255,11 +255,11 @@ protected:
     void save_block(std::size_t index) {
         const BlockTrainingLog part = cut_log(log, run.split, blocks[index], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(index)));
-        relidar::Run block{folders.back(), part.config, part.sequence, part.split, full_scene};
+        relidar::Run block{folders.back(), part.config, part.log, part.split, full_scene};
         keep_block_surfels(block.scene, log, blocks, index);
         block.scene.sensor_drop = {1, 2, {0.25f * float(index), 0.5f}};
         // poses as after refinement
-        for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(index);
+        for (Pose& pose : block.log.world_from_vehicle.pose) pose.translation.z += 0.001 * double(index);
         block.refined_poses = "sensor";
         if (index < 2) {
             const Surfels car = make_walls_at({0.1f * float(index)});
@@ -321,7 +321,7 @@ TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
 TEST_F(JoinedBlocks, TakesPosesAndDropsFromTheBlocks) {
     for (std::size_t k = 0; k < blocks.size(); ++k)
         for (const int position : blocks[k].recorded_frames)
-            EXPECT_DOUBLE_EQ(run.sequence.world_from_vehicle.pose[std::size_t(position)].translation.z,
+            EXPECT_DOUBLE_EQ(run.log.world_from_vehicle.pose[std::size_t(position)].translation.z,
                              0.001 * double(k));
     EXPECT_EQ(run.refined_poses, "sensor");
     double frames = 0.0, sum = 0.0;

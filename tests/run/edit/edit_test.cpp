@@ -38,23 +38,21 @@ SceneWithLog example() {
         {"background", 0, 3, {}}, {"van", 3, 2, {2.6f, 1.1f, 1.1f}}, {"car", 5, 4, {2.1f, 1.1f, 0.85f}}};
     d.scene.instances = {{0, ""}, {1, "van"}, {2, "car"}};
     d.scene.sensor_drop = {1, 1, {0.25f}};
-    d.sequence.lidars[0].sensor.period_s = 0.1;
-    d.sequence.world_offset_m = {1000.0, -50.0, 2.0};
+    d.log.lidars[0].sensor.period_s = 0.1;
+    d.log.world_offset_m = {1000.0, -50.0, 2.0};
     BoxTrack van{"van", "Van", {5, 2, 2}, {}}, car{"car", "Car", {4, 2, 1.5}, {}},
         walker{"walker", "Pedestrian", {1, 1, 2}, {}};
     for (int i = 0; i < 10; ++i) {
-        d.sequence.frames.push_back({i, 0.1 * i, {}});
+        d.log.frames.push_back({i, 0.1 * i, {}});
         van.world_from_box.append(0.1 * i, at(i, 0.1 * i * i, 0.1 * i));
         car.world_from_box.append(0.1 * i, at(-i, 5.0, kPi));
         walker.world_from_box.append(0.1 * i, at(0.1 * i, 9.0));
     }
-    d.sequence.boxes = {van, car, walker};
+    d.log.boxes = {van, car, walker};
     return d;
 }
 
-const BoxTrack& box(const SceneWithLog& driving, const std::string& id) {
-    return *find_box(driving.sequence, id);
-}
+const BoxTrack& box(const SceneWithLog& driving, const std::string& id) { return *find_box(driving.log, id); }
 
 std::vector<std::string> tracks(const SceneWithLog& driving) {
     std::vector<std::string> names;
@@ -90,7 +88,7 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
     EXPECT_EQ(d.scene.surfels.size(), 7u);
     EXPECT_EQ(model_of(d, 0), std::make_pair(0.0f, 3u));
     EXPECT_EQ(model_of(d, 1), std::make_pair(200.0f, 4u));
-    EXPECT_EQ(d.sequence.boxes.size(), 2u);
+    EXPECT_EQ(d.log.boxes.size(), 2u);
     EXPECT_EQ(d.scene.sensor_drop.probability, std::vector<float>{0.25f}) << "the sensor has not changed";
 }
 
@@ -111,13 +109,13 @@ TEST(Edit, ScaledSpeedReachesPlacesEarlier) {
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const SceneWithLog before = example();
     const BoxTrack van = box(before, "van");
-    EXPECT_THAT(describe_absence(van, delay_track(before, "van", 0.4).sequence),
+    EXPECT_THAT(describe_absence(van, delay_track(before, "van", 0.4).log),
                 test::Names("van ... 4 ... 0 ... 3 ... 0.40 ... 1.30 s"));
     const PoseTrack path{{0.2, 0.5}, {at(0, 0), at(3, 0)}};
-    EXPECT_THAT(describe_absence(van, replace_track(before, "van", path).sequence),
+    EXPECT_THAT(describe_absence(van, replace_track(before, "van", path).log),
                 test::Names("van ... 6 ... 0 ... 9 ... 0.20 ... 0.50 s"));
-    EXPECT_EQ(describe_absence(van, delay_track(before, "van", 0.02).sequence), "");
-    EXPECT_EQ(describe_absence(van, move_track(before, "van", at(0, 1)).sequence), "");
+    EXPECT_EQ(describe_absence(van, delay_track(before, "van", 0.02).log), "");
+    EXPECT_EQ(describe_absence(van, move_track(before, "van", at(0, 1)).log), "");
 }
 
 /// The log has observed only the left side of its car.
@@ -133,7 +131,7 @@ SceneWithLog make_example_seen_from_left() {
 
 TEST(Edit, MovingThereAndBackIsTheIdentity) {
     const SceneWithLog recorded = make_example_seen_from_left();
-    const std::vector<BoxTrack>& boxes = recorded.sequence.boxes;
+    const std::vector<BoxTrack>& boxes = recorded.log.boxes;
     const Pose there = at(3.7, -1.3, 0.4);
     for (const SceneWithLog& edited : {move_track(recorded, "car", {}),
                                        move_track(move_track(recorded, "car", there), "car", inverse(there)),
@@ -141,10 +139,9 @@ TEST(Edit, MovingThereAndBackIsTheIdentity) {
         const SceneWithLog same = complete_actors(edited, boxes);
         EXPECT_EQ(same.scene.surfels.mean, recorded.scene.surfels.mean);
         for (std::size_t b = 0; b < boxes.size(); ++b) {
-            EXPECT_EQ(same.sequence.boxes[b].world_from_box.time_s, boxes[b].world_from_box.time_s);
+            EXPECT_EQ(same.log.boxes[b].world_from_box.time_s, boxes[b].world_from_box.time_s);
             for (std::size_t i = 0; i < boxes[b].world_from_box.pose.size(); ++i)
-                expect_near(same.sequence.boxes[b].world_from_box.pose[i], boxes[b].world_from_box.pose[i],
-                            1e-30);
+                expect_near(same.log.boxes[b].world_from_box.pose[i], boxes[b].world_from_box.pose[i], 1e-30);
         }
     }
     const SceneWithLog moved = complete_actors(move_track(recorded, "car", at(0, 1e-3)), boxes);
@@ -165,7 +162,7 @@ TEST(Edit, RefusesNumbersThatAreNotFinite) {
 TEST(Edit, CopyDoesNotChangeRecordedActor) {
     const SceneWithLog recorded = make_example_seen_from_left();
     const auto complete = [&](SceneWithLog edited) {
-        return complete_actors(std::move(edited), recorded.sequence.boxes);
+        return complete_actors(std::move(edited), recorded.log.boxes);
     };
     const SceneWithLog once = complete(copy_track(recorded, "car", {at(1020, -60), 0.0})),
                        twice = complete(copy_track(once, "car", {at(1030, -60), 0.0})),
@@ -246,10 +243,10 @@ TEST(Edit, CopiesShareTheModelAndDriveStraightOn) {
 
 TEST(Edit, CopiesHaveOnePosePerSweepOfSeveralLidars) {
     SceneWithLog d = example();
-    d.sequence.lidars.resize(2);
-    d.sequence.frames.clear();
+    d.log.lidars.resize(2);
+    d.log.frames.clear();
     for (int i = 0; i < 10; ++i)
-        for (const int lidar : {0, 1}) d.sequence.frames.push_back({i, 0.1 * i, {}, lidar});
+        for (const int lidar : {0, 1}) d.log.frames.push_back({i, 0.1 * i, {}, lidar});
     EXPECT_EQ(box(copy_track(d, "van", {}), "van-copy-1").world_from_box.time_s,
               box(d, "van").world_from_box.time_s);
 }
@@ -283,7 +280,7 @@ TEST(Edit, KeepsOneSide) {
     const SceneWithLog street = remove_actors(example());
     EXPECT_EQ(tracks(street), std::vector<std::string>{""});
     EXPECT_EQ(street.scene.surfels.size(), 3u);
-    EXPECT_EQ(street.sequence.boxes.size(), 1u) << "boxes without a model are not edited";
+    EXPECT_EQ(street.log.boxes.size(), 1u) << "boxes without a model are not edited";
     const SceneWithLog cars = remove_background(example());
     EXPECT_EQ(tracks(cars), (std::vector<std::string>{"", "van", "car"}));
     EXPECT_EQ(model_of(cars, 0).second, 0u);
@@ -306,7 +303,7 @@ TEST(Edit, UnknownTracksNameTheNearest) {
         error_message<UsageError>([] { insert_track(example(), example(), "bus", {}); });
     EXPECT_THAT(stranger, test::Names("(actors")) << "nothing resembles it: " << stranger;
     SceneWithLog boxless = example();
-    boxless.sequence.boxes.clear();
+    boxless.log.boxes.clear();
     EXPECT_THAT(error_message<DataError>([&] { move_track(boxless, "van", {}); }), test::Names("box"));
 }
 
@@ -315,15 +312,15 @@ using EditedRun = TemporaryFolder;
 TEST_F(EditedRun, IsSavedAndLoadedLikeAnyOther) {
     for (const SceneWithLog& d :
          {copy_track(example(), "van", {}), remove_background(example()), remove_actors(example())}) {
-        relidar::Run run{folder / "run", make_preset("quick"), d.sequence, {{0}, {1}},
+        relidar::Run run{folder / "run", make_preset("quick"), d.log, {{0}, {1}},
                          d.scene,        {{"/a", "--copy"}}};
         for (glm::vec4& q : run.scene.surfels.rotation) q = {1, 0, 0, 0};
-        run.sequence.lidars[0].sensor.beams = {{0.0}};
-        run.sequence.lidars[0].sensor.columns = 4;
-        for (const Frame& f : run.sequence.frames) run.sequence.world_from_vehicle.append(f.time_s, {});
+        run.log.lidars[0].sensor.beams = {{0.0}};
+        run.log.lidars[0].sensor.columns = 4;
+        for (const Frame& f : run.log.frames) run.log.world_from_vehicle.append(f.time_s, {});
         save_run(run);
         const relidar::Run read = load_run(run.folder);
-        EXPECT_EQ(tracks({read.scene, read.sequence}), tracks(d));
+        EXPECT_EQ(tracks({read.scene, read.log}), tracks(d));
         EXPECT_EQ(read.scene.surfels.mean, d.scene.surfels.mean);
     }
 }
@@ -335,16 +332,16 @@ SceneWithLog make_passing_cube(std::uint32_t n_surfels) {
     d.scene.surfels.resize(n_surfels);
     d.scene.models = {{"background", 0, 0, {}}, {"cube", 0, n_surfels, {1, 1, 1}}};
     d.scene.instances = {{0, ""}, {1, "cube"}};
-    SpinningSensor& sensor = d.sequence.lidars[0].sensor;
+    SpinningSensor& sensor = d.log.lidars[0].sensor;
     for (int i = 0; i < 200; ++i) sensor.beams.push_back({(30.0 - 60.0 * (i + 0.5) / 200.0) * kPi / 180.0});
     sensor.columns = 3600;
     BoxTrack cube{"cube", "Car", {2, 2, 2}, {}};
     for (int i = 0; i < 11; ++i) {
-        d.sequence.frames.push_back({i, 0.1 * i, {}});
-        d.sequence.world_from_vehicle.append(0.1 * i, {});
+        d.log.frames.push_back({i, 0.1 * i, {}});
+        d.log.world_from_vehicle.append(0.1 * i, {});
         cube.world_from_box.append(0.1 * i, {{1, 0, 0, 0}, {double(i) * 4.0 - 20.0, 10.0, 0.0}});
     }
-    d.sequence.boxes = {cube};
+    d.log.boxes = {cube};
     return d;
 }
 
@@ -387,7 +384,7 @@ TEST(ActorDetail, IsSparseWhereFewSurfelsMeetManyRays) {
 
 TEST(ActorDetail, OfOneThatIsNeverThereNothingIsClaimed) {
     SceneWithLog d = make_passing_cube(5);
-    for (double& t : d.sequence.boxes[0].world_from_box.time_s) t += 100.0;
+    for (double& t : d.log.boxes[0].world_from_box.time_s) t += 100.0;
     EXPECT_EQ(model_resolution(d, "cube").rays, 0u);
     EXPECT_FALSE(model_resolution(d, "cube").is_too_coarse());
     EXPECT_THROW(model_resolution(d, "van"), UsageError);

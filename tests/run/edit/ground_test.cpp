@@ -50,16 +50,16 @@ SceneWithLog make_slope() {
     add_surfel(d.scene.surfels, {0, 0, 0}, {0, 0, 1});
     d.scene.models = {{"background", 0, background, {}}, {"van", background, 1, {2.0f, 1.0f, 0.8f}}};
     d.scene.instances = {{0, ""}, {1, "van"}};
-    d.sequence.world_offset_m = kWorldOffset_m;
+    d.log.world_offset_m = kWorldOffset_m;
     BoxTrack van{"van", "Van", {4.0, 2.0, 1.6}, {}};
     for (int i = 0; i < 5; ++i) {
         const double time_s = 0.1 * i, x = -8.0 + i, z = compute_slope_height(x, 0.0);
-        d.sequence.frames.push_back({i, time_s, {}});
-        d.sequence.world_from_vehicle.append(time_s,
-                                             {glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {x, 0.0, z + 1.8}});
+        d.log.frames.push_back({i, time_s, {}});
+        d.log.world_from_vehicle.append(time_s,
+                                        {glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {x, 0.0, z + 1.8}});
         van.world_from_box.append(time_s, {{1, 0, 0, 0}, glm::dvec3(x, 0.0, z) + 1.0 * kSlopeNormal});
     }
-    d.sequence.boxes = {van};
+    d.log.boxes = {van};
     return d;
 }
 
@@ -73,8 +73,7 @@ void set_background(SceneWithLog& d, Surfels background) {
 
 NewActorMotion place_on_ground(const SceneWithLog& driving, const GroundPlacement& place,
                                const std::string& track) {
-    return stand_on_ground({driving.scene, driving.sequence}, place, {driving.scene, driving.sequence},
-                           track);
+    return stand_on_ground({driving.scene, driving.log}, place, {driving.scene, driving.log}, track);
 }
 
 Pose placed(const SceneWithLog& driving, double x, double y, std::optional<double> yaw_rad = {}) {
@@ -111,13 +110,13 @@ TEST(Ground, PathFollowsAHill) {
         mean.z += float(hill(mean.x) - compute_slope_height(mean.x, mean.y));
         d.scene.surfels.rotation[i] = {1, 0, 0, 0};
     }
-    for (int i = 0; i < 5; ++i) d.sequence.frames[std::size_t(i)].time_s = i;
+    for (int i = 0; i < 5; ++i) d.log.frames[std::size_t(i)].time_s = i;
     GroundPlacement placement{{kWorldOffset_m.x - 16.0, kWorldOffset_m.y}, 0.0, 10.0};
     placement.clearance_m = 0.0;
     const NewActorMotion start = place_on_ground(d, placement, "van");
     ASSERT_EQ(start.dataset_path.pose.size(), 5u);
     const SceneWithLog edited = copy_track(d, "van", start);
-    const BoxTrack* copy = find_box(edited.sequence, "van-copy-1");
+    const BoxTrack* copy = find_box(edited.log, "van-copy-1");
     ASSERT_NE(copy, nullptr);
     for (int i = 0; i < 4; ++i) {
         const Pose pose = copy->world_from_box.pose_at(i);
@@ -136,14 +135,14 @@ TEST(Ground, PathFollowsAHill) {
 TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
     const SceneWithLog d = make_slope();
     const SceneWithLog alone = remove_background(d);  // an asset does not contain any ground
-    EXPECT_NEAR(ground_clearance({d.scene, d.sequence}, "van").value_or(-1.0), 0.2, 0.02);
-    EXPECT_FALSE(ground_clearance({alone.scene, alone.sequence}, "van"));
-    EXPECT_THROW(ground_clearance({d.scene, d.sequence}, "nobody"), UsageError);
+    EXPECT_NEAR(ground_clearance({d.scene, d.log}, "van").value_or(-1.0), 0.2, 0.02);
+    EXPECT_FALSE(ground_clearance({alone.scene, alone.log}, "van"));
+    EXPECT_THROW(ground_clearance({d.scene, d.log}, "nobody"), UsageError);
     for (const double clearance_m : {0.0, 0.5}) {
         GroundPlacement placement{{6.0 + kWorldOffset_m.x, 3.0 + kWorldOffset_m.y}, 0.0};
         placement.clearance_m = clearance_m;
         const NewActorMotion start =
-            stand_on_ground({d.scene, d.sequence}, placement, {alone.scene, alone.sequence}, "van");
+            stand_on_ground({d.scene, d.log}, placement, {alone.scene, alone.log}, "van");
         const glm::dvec3 above = start.dataset_from_box.translation - kWorldOffset_m -
                                  glm::dvec3(6.0, 3.0, compute_slope_height(6.0, 3.0));
         EXPECT_NEAR(glm::dot(kSlopeNormal, above), 0.8 + clearance_m, 0.02);
@@ -205,7 +204,7 @@ TEST(Ground, IsNotAParkedCarInThePath) {
         park_car(d, 4.0, 2.0);
         if (is_labelled) {
             const Pose pose{rotation_to_slope(), {4.0, 2.0, compute_slope_height(4.0, 2.0) + 0.75}};
-            d.sequence.boxes.push_back({"parked", "Car", {4.2, 1.8, 1.5}, {{0.0, 0.4}, {pose, pose}}});
+            d.log.boxes.push_back({"parked", "Car", {4.2, 1.8, 1.5}, {{0.0, 0.4}, {pose, pose}}});
         }
         // stands on the road below the parked car
         expect_on_slope(placed(d, 4.0, 2.0, 0.0), 4.0, 2.0, 0.0);
@@ -228,7 +227,7 @@ template <class Visit>
 void visit_near(const SceneWithLog& d, const glm::dvec2& dataset_m, const glm::dvec2& half_m,
                 const Visit& visit) {
     for (std::size_t i = 0; i < d.scene.models[0].count; ++i) {
-        const glm::dvec3 p = glm::dvec3(d.scene.surfels.mean[i]) + d.sequence.world_offset_m;
+        const glm::dvec3 p = glm::dvec3(d.scene.surfels.mean[i]) + d.log.world_offset_m;
         if (glm::all(glm::lessThan(glm::abs(glm::dvec2(p) - dataset_m), half_m))) visit(i, p.z);
     }
 }
@@ -239,10 +238,10 @@ constexpr double kParkedY_m = -3.3;
 
 SceneWithLog make_street_scene(int n_frames) {
     SceneWithLog d;
-    d.sequence = make_street_log({.n_frames = n_frames, .rows = 32, .columns = 512});
+    d.log = make_street_log({.n_frames = n_frames, .rows = 32, .columns = 512});
     InitOptions options;
     options.actor_min_points = 10;
-    d.scene = init_scene(d.sequence, split_frames(d.sequence, 0).train, options);
+    d.scene = init_scene(d.log, split_frames(d.log, 0).train, options);
     return d;
 }
 
@@ -264,8 +263,8 @@ TEST(Ground, HasNoStepAtAParkedCarOfTheStreet) {
     const PoseTrack path{{0.0, 3.0},
                          {{.translation = {parked_m - glm::dvec2(12.0, 0.0), 0.0}},
                           {.translation = {parked_m + glm::dvec2(12.0, 0.0), 0.0}}}};
-    const SceneWithLogView view{d.scene, d.sequence};
-    const BoxTrack& car = d.sequence.boxes.front();
+    const SceneWithLogView view{d.scene, d.log};
+    const BoxTrack& car = d.log.boxes.front();
     const NewActorMotion motion = follow_ground(view, path, 0.0, view, car.id);
     for (const Pose& pose : motion.dataset_path.pose)
         EXPECT_NEAR(pose.translation.z, 0.5 * car.size_m.z, 0.05) << pose.translation.x - parked_m.x;
@@ -281,7 +280,7 @@ std::vector<std::string> ids_of(const Notes& notes) {
 TEST(Placement, NotesGapsAndOverlaps) {
     const SceneWithLog d = make_slope();
     const auto notes_of = [](const SceneWithLog& edited, const std::string& track) {
-        return check_placement({edited.scene, edited.sequence}, {track});
+        return check_placement({edited.scene, edited.log}, {track});
     };
     EXPECT_EQ(notes_of(d, "van"), Notes{}) << "0.2 m above the slope";
     const SceneWithLog high = move_track(d, "van", {{1, 0, 0, 0}, {0.0, 0.0, 0.2}});
@@ -289,20 +288,20 @@ TEST(Placement, NotesGapsAndOverlaps) {
     EXPECT_THAT(notes_of(high, "van").at(0).text, Names("van ... 0.4"));
     // The copy stands 5 m ahead of the start of the van, which drives 1 m per frame: its
     // 4 m long box reaches the copy in frame 2 and is 1 m inside the copy in the last.
-    const Pose start = d.sequence.boxes[0].world_from_box.pose[0];
+    const Pose start = d.log.boxes[0].world_from_box.pose[0];
     NewActorMotion ahead{{start.rotation, start.translation + glm::dvec3(6.5, 0.0, 0.65) + kWorldOffset_m}};
     const SceneWithLog crash = copy_track(d, "van", ahead);
     const Notes notes = notes_of(crash, "van-copy-1");
     ASSERT_EQ(ids_of(notes), std::vector<std::string>{"overlap"});
     EXPECT_THAT(notes[0].text, Names("van-copy-1 ... van ... 0.30 ... 0.40"));
-    EXPECT_EQ(ids_of(check_placement({crash.scene, crash.sequence}, {"van-copy-1", "van"})),
+    EXPECT_EQ(ids_of(check_placement({crash.scene, crash.log}, {"van-copy-1", "van"})),
               std::vector<std::string>{"overlap"})
         << "one note for two placed actors";
     SceneWithLog parked = d;  // a car at the start of the van, with a label at the end
-    BoxTrack car = d.sequence.boxes[0];
+    BoxTrack car = d.log.boxes[0];
     car.id = "parked";
     car.world_from_box = {{car.world_from_box.time_s.back()}, {start}};
-    parked.sequence.boxes.push_back(car);
+    parked.log.boxes.push_back(car);
     EXPECT_EQ(ids_of(notes_of(parked, "van")), std::vector<std::string>{"overlap"});
 }
 
@@ -345,7 +344,7 @@ TEST(Placement, NotesTheShareInTheBackground) {
         const Pose pose{start.dataset_from_box.rotation, start.dataset_from_box.translation - kWorldOffset_m};
         const double share = share_in_parked_car(pose, 4.0, 2.0);
         std::string text;
-        for (const Note& note : check_placement({edited.scene, edited.sequence}, {"van-copy-1"}))
+        for (const Note& note : check_placement({edited.scene, edited.log}, {"van-copy-1"}))
             if (note.id == "background") text = note.text;
         EXPECT_EQ(text.empty(), share == 0.0) << place.x << " " << share << " " << text;
         if (text.empty()) continue;
@@ -370,7 +369,7 @@ TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
     const NewActorMotion in_car =
         place_on_ground(d, {glm::dvec2(kWorldOffset_m) + glm::dvec2(-10.0, -5.0), 0.0}, "van");
     const SceneWithLog edited = copy_track(d, "van", in_car);
-    EXPECT_EQ(ids_of(check_placement({edited.scene, edited.sequence}, {"van-copy-1"})),
+    EXPECT_EQ(ids_of(check_placement({edited.scene, edited.log}, {"van-copy-1"})),
               std::vector<std::string>{"background"});
 }
 
@@ -396,7 +395,7 @@ TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
         if (std::hypot(d.scene.surfels.mean[i].x + 8.0f, d.scene.surfels.mean[i].y) > 4.5f)
             remaining_surfels.append_surfels(d.scene.surfels.slice(i, 1));
     set_background(d, std::move(remaining_surfels));
-    const Pose there = d.sequence.boxes[0].world_from_box.pose.front();
+    const Pose there = d.log.boxes[0].world_from_box.pose.front();
     const Pose pose = placed(d, there.translation.x, there.translation.y, 0.0);
     EXPECT_LT(glm::distance(pose.translation, there.translation), 0.1);
     EXPECT_NE(refusal(d, {kWorldOffset_m.x - 8.0, kWorldOffset_m.y + 1.6}), "");
@@ -404,9 +403,9 @@ TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
 
 TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
     const SceneWithLog d = make_street_scene(6);
-    ASSERT_FALSE(d.sequence.boxes.empty());
-    const BoxTrack& car = d.sequence.boxes.front();
-    const glm::dvec3 there = car.world_from_box.pose.front().translation + d.sequence.world_offset_m;
+    ASSERT_FALSE(d.log.boxes.empty());
+    const BoxTrack& car = d.log.boxes.front();
+    const glm::dvec3 there = car.world_from_box.pose.front().translation + d.log.world_offset_m;
     for (const glm::dvec2 beside : {glm::dvec2(0.0, 0.0), glm::dvec2(-6.0, 3.0), glm::dvec2(8.0, 0.0)}) {
         const Pose pose = place_on_ground(d, {glm::dvec2(there) + beside}, car.id).dataset_from_box;
         EXPECT_NEAR(pose.translation.z, there.z, 0.03) << beside.x << "," << beside.y;

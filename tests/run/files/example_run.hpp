@@ -49,7 +49,7 @@ inline Run make_example_run(const std::filesystem::path& folder) {
     // must not be 0, because loading replaces 0 by the limit of the log
     run.config.dataset.max_range_m = 80.0;
     run.config.dataset.path = "/data/log \"one\"";
-    Log& s = run.sequence;
+    Log& s = run.log;
     s.name = "example \xC3\xA9";
     s.source = "somewhere";
     s.conventions = "none";

@@ -122,7 +122,7 @@ TEST_F(RunFolder, HowIntensitiesScatterIsPartOfIt) {
     run.intensity_scatter = make_example_scatter();
     save_run(run);
     const std::vector<IntensityScatterModel> read = load_run(run.folder).intensity_scatter;
-    ASSERT_EQ(read.size(), run.sequence.lidars.size());
+    ASSERT_EQ(read.size(), run.log.lidars.size());
     const IntensityScatterModel &a = read[0], &b = run.intensity_scatter[0];
     expect_equal(a.nodes, b.nodes);
     EXPECT_EQ(a.values, b.values);
@@ -166,12 +166,12 @@ TEST_F(RunFolder, IsTheSameInEveryLocale) {
 TEST_F(RunFolder, KeepsWhatWasGuessedAndFoundOfBoxesAndPlaced) {
     EXPECT_FALSE(load_run(run.folder).held_out_placed);
     run.held_out_placed = true;
-    BoxTrack& box = run.sequence.boxes[0];
+    BoxTrack& box = run.log.boxes[0];
     box.size_guess = "car";
     box.n_before = 1;
     save_run(run);
     EXPECT_TRUE(load_run(run.folder).held_out_placed);
-    const BoxTrack read = load_run(run.folder).sequence.boxes[0];
+    const BoxTrack read = load_run(run.folder).log.boxes[0];
     EXPECT_EQ(read.size_guess, "car");
     EXPECT_EQ(read.n_before, 1u);
     EXPECT_EQ(read.n_after, 0u);
@@ -180,7 +180,7 @@ TEST_F(RunFolder, KeepsWhatWasGuessedAndFoundOfBoxesAndPlaced) {
 TEST_F(RunFolder, RoundTripsExactly) {
     const relidar::Run read = load_run(run.folder);
     EXPECT_EQ(to_toml(read.config), to_toml(run.config));
-    const Log &a = read.sequence, &b = run.sequence;
+    const Log &a = read.log, &b = run.log;
     EXPECT_EQ(a.name, b.name);
     EXPECT_EQ(a.source, b.source);
     EXPECT_EQ(a.conventions, b.conventions);
@@ -225,21 +225,21 @@ TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
                 test::Names("array 000001 ... f4 ... [16] ... f4 ... [1030]"));
     EXPECT_THAT(error_with_array("000001", std::vector<float>(1030, 9.0f)), test::Names("9 ... radians"));
     EXPECT_THAT(error_with_array("000001", std::vector<float>(1030, NAN)), test::Names("nan ... radians"));
-    run.sequence.frames[1].azimuth_shift_rad.clear();
+    run.log.frames[1].azimuth_shift_rad.clear();
     save_run(run);
     EXPECT_FALSE(std::filesystem::exists(file)) << "no sweep has any";
-    EXPECT_TRUE(load_run(run.folder).sequence.frames[1].azimuth_shift_rad.empty());
+    EXPECT_TRUE(load_run(run.folder).log.frames[1].azimuth_shift_rad.empty());
 }
 
 TEST_F(RunFolder, OwnBodyRoundTripsExactly) {
     const std::filesystem::path file = run.folder / "own_body.safetensors";
     EXPECT_FALSE(std::filesystem::exists(file)) << "nothing carries the LiDAR";
-    BodyTable& body = run.sequence.lidars[0].own_body;
+    BodyTable& body = run.log.lidars[0].own_body;
     body = {std::vector<float>(BodyTable::kCells), std::vector<float>(BodyTable::kCells)};
     body.range_m[1000] = 0.4f;
     body.intensity[1000] = BodyTable::kNoReturn;
     save_run(run);
-    const BodyTable read = load_run(run.folder).sequence.lidars[0].own_body;
+    const BodyTable read = load_run(run.folder).log.lidars[0].own_body;
     EXPECT_EQ(read.range_m, body.range_m);
     EXPECT_EQ(read.intensity, body.intensity);
     const std::vector<float> few(16, 0.5f);
@@ -295,8 +295,7 @@ TEST_F(RunFolder, ClassesRoundTripExactly) {
 }
 
 TEST_F(RunFolder, SensorRoundTripsExactly) {
-    const SpinningSensor a = load_run(run.folder).sequence.lidars[0].sensor,
-                         &b = run.sequence.lidars[0].sensor;
+    const SpinningSensor a = load_run(run.folder).log.lidars[0].sensor, &b = run.log.lidars[0].sensor;
     EXPECT_EQ(a.name, b.name);
     EXPECT_EQ(a.columns, b.columns);
     EXPECT_EQ(a.period_s, b.period_s);
@@ -308,12 +307,12 @@ TEST_F(RunFolder, SensorRoundTripsExactly) {
 }
 
 TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
-    Log& s = run.sequence;
+    Log& s = run.log;
     s.lidars.push_back({"rear", s.lidars[0].sensor, make_example_pose(0.3)});
     s.lidars[0].name = "front";
     s.frames.insert(s.frames.begin() + 2, {11, s.frames[1].time_s, {}, 1});
     save_run(run);
-    const Log read = load_run(run.folder).sequence;
+    const Log read = load_run(run.folder).log;
     ASSERT_EQ(read.lidars.size(), 2u);
     EXPECT_EQ(read.lidars[1].name, "rear");
     expect_equal(read.lidars[1].vehicle_from_sensor, make_example_pose(0.3));
@@ -325,7 +324,7 @@ TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
 }
 
 TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
-    Log& s = run.sequence;
+    Log& s = run.log;
     const WindowScanSensor window{.name = "front",
                                   .rows = 4,
                                   .columns = 6,
@@ -345,7 +344,7 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
         s.lidars[0].pattern = pattern;
         s.frames[1].azimuth_shift_rad.clear();
         save_run(run);
-        const Lidar read = load_run(run.folder).sequence.lidars[0];
+        const Lidar read = load_run(run.folder).log.lidars[0];
         ASSERT_TRUE(read.pattern);
         EXPECT_EQ(read.pattern->index(), pattern.index());
         EXPECT_EQ(read.sweep_period_s(), s.lidars[0].sweep_period_s());
@@ -459,12 +458,12 @@ TEST_F(RunFolder, WrongSettingIsDamage) {
 
 TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     run.folder = folder / "second";
-    run.sequence.world_from_vehicle.pose[1].translation.x = std::numeric_limits<double>::quiet_NaN();
+    run.log.world_from_vehicle.pose[1].translation.x = std::numeric_limits<double>::quiet_NaN();
     EXPECT_THAT(get_data_error_message([&] { save_run(run); }),
                 test::Names("frames[1].world_from_vehicle[0]"));
     EXPECT_FALSE(is_run_folder(run.folder));
     run = make_example_run(folder / "second");
-    run.sequence.world_from_vehicle.pose.pop_back();
+    run.log.world_from_vehicle.pose.pop_back();
     EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("3 poses ... 4"));
     run = make_example_run(folder / "second");
     // config.toml cannot contain a changed constant of the preset

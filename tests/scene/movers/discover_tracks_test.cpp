@@ -154,7 +154,7 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
         street.log.lidars[0].name = "first";
         street.log.lidars[1].name = "second";
         street.log.frames = std::move(frames);
-        check_sequence(street.log);
+        check_log(street.log);
         const std::vector<BoxTrack> found = discover_tracks(street.log, split_frames(street.log, 10).train);
         EXPECT_EQ(found.size(), street.truth.size()) << first_frame_is_complete;
         for (const BoxTrack& truth : street.truth)

@@ -20,12 +20,12 @@ class EvaluationOf : public test::DeviceTest {
 protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
-        run.sequence = make_street_log({.n_frames = kFrames, .rows = 8, .columns = 64});
+        run.log = make_street_log({.n_frames = kFrames, .rows = 8, .columns = 64});
         run.config = make_preset("quick");
         run.config.refine.enabled = false;
-        run.split = split_frames(run.sequence, 0);
+        run.split = split_frames(run.log, 0);
         run.config.init.voxel_m = 0.5;
-        run.scene = init_scene(run.sequence, run.split.train, run.config.init);
+        run.scene = init_scene(run.log, run.split.train, run.config.init);
         positions.resize(kFrames);
         std::iota(positions.begin(), positions.end(), 0);
     }
@@ -59,7 +59,7 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
     };
     std::vector<double> progress_values;
     const Evaluation evaluation = evaluate_frames(
-        renderer, run.config, run.sequence, positions,
+        renderer, run.config, run.log, positions,
         [&](std::string_view, double done) { progress_values.push_back(done); }, see);
     expect_forgotten(evaluation, reported_frames);
     EXPECT_EQ(progress_values.size(), std::size_t(kFrames) + 1);
@@ -69,8 +69,7 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
         << "metrics that are added where a frame is seen count";
     double sum = 0.0;
     for (int i = 0; i < kFrames; ++i) {
-        const ScoredFrame alone =
-            score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
+        const ScoredFrame alone = score_frame(renderer, run.config, run.log, run.log.frames[std::size_t(i)]);
         EXPECT_GT(alone.metrics.size(), 20u);
         for (const auto& [name, value] : alone.metrics) {
             const double actual = evaluation.frames[std::size_t(i)].metrics.at(name);
@@ -85,17 +84,17 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
 TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
     const auto count = [&] {
         ScanRenderer renderer(device(), run);
-        const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, {3});
+        const Evaluation evaluation = evaluate_frames(renderer, run.config, run.log, {3});
         return std::ranges::count_if(
             evaluation.mean, [](const auto& m) { return m.first.find("intensity") != std::string::npos; });
     };
     EXPECT_GT(count(), 0);
-    std::ranges::fill(run.sequence.frames[3].scan.intensity, 0.0f);
+    std::ranges::fill(run.log.frames[3].scan.intensity, 0.0f);
     EXPECT_EQ(count(), 0);
 }
 
 TEST_F(EvaluationOf, AStandingSensorShowsItsRepeatability) {
-    EXPECT_EQ(find_repeat(run.sequence, 3), std::nullopt) << "the sensor moves";
+    EXPECT_EQ(find_repeat(run.log, 3), std::nullopt) << "the sensor moves";
     Log log = make_street_log({.n_frames = 3, .rows = 8, .columns = 64, .speed_mps = 0.0});
     EXPECT_EQ(find_repeat(log, 0), 1);
     EXPECT_EQ(find_repeat(log, 2), std::nullopt) << "it is the last frame";
@@ -119,7 +118,7 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     run.split = {positions, positions};
     std::vector<ScoredFrame> reported_frames;
     const Evaluation evaluation =
-        evaluate_baseline("nearest", run.config, run.sequence, run.split, {},
+        evaluate_baseline("nearest", run.config, run.log, run.split, {},
                           [&](const ScoredFrame& frame) { reported_frames.push_back(frame); });
     expect_forgotten(evaluation, reported_frames);
     EXPECT_EQ(evaluation.title, "baseline nearest");
@@ -136,7 +135,7 @@ std::size_t find_error_bin(bool is_missed, double error_m) {
 TEST_F(EvaluationOf, CountsErrorsByRange) {
     ScanRenderer renderer(device(), run);
     std::vector<ScoredFrame> reported_frames;
-    evaluate_frames(renderer, run.config, run.sequence, {3, 20}, {},
+    evaluate_frames(renderer, run.config, run.log, {3, 20}, {},
                     [&](const ScoredFrame& frame) { reported_frames.push_back(frame); });
     double all = 0.0;
     for (const ScoredFrame& frame : reported_frames) {

@@ -9,7 +9,7 @@
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 namespace {

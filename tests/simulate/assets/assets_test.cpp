@@ -86,7 +86,7 @@ TEST(MakeAsset, OnlyVehiclesAreMirrored) {
     for (const auto& [category, is_vehicle] :
          {std::pair("Car", true), {"Pedestrian", false}, {"Cyclist", false}, {kDiscoveredCategory, true}}) {
         relidar::Run run = run_of(make_plates(), kAhead);
-        run.sequence.boxes[0].category = category;
+        run.log.boxes[0].category = category;
         const ActorAsset asset = extract_asset(run, "7", left);
         EXPECT_EQ(asset.facts.kind == ObjectKind::vehicle, is_vehicle) << category;
         EXPECT_EQ(asset.facts.mirrored > 0, is_vehicle) << category;
@@ -98,14 +98,14 @@ TEST(MakeAsset, OnlyVehiclesAreMirrored) {
 TEST(MakeAsset, IsARunOfThatActorAlone) {
     relidar::Run run = run_of(make_plates(), kAhead);
     run.scene.instances.push_back({1, "copy"});
-    run.sequence.boxes.push_back(run.sequence.boxes[0]);
-    run.sequence.boxes[1].id = "copy";
-    run.sequence.boxes.push_back({"8", "Pedestrian", {1, 1, 2}, {}});  // without a model
+    run.log.boxes.push_back(run.log.boxes[0]);
+    run.log.boxes[1].id = "copy";
+    run.log.boxes.push_back({"8", "Pedestrian", {1, 1, 2}, {}});  // without a model
     const ActorAsset asset = extract_asset(run, "7", {});
     EXPECT_EQ(asset.facts.name, "car-7");
     EXPECT_EQ(only_track(asset.run), "car-7");
-    ASSERT_EQ(asset.run.sequence.boxes.size(), 1u);
-    EXPECT_EQ(asset.run.sequence.boxes[0].id, "car-7");
+    ASSERT_EQ(asset.run.log.boxes.size(), 1u);
+    EXPECT_EQ(asset.run.log.boxes[0].id, "car-7");
     EXPECT_EQ(asset.run.scene.models.size(), 2u);
     EXPECT_THROW(extract_asset(run, "nobody", {}), UsageError);
     EXPECT_THROW(only_track(run), UsageError) << "it has two";
@@ -162,14 +162,13 @@ TEST_F(InsertedAsset, RendersAsTheActorItWas) {
     ASSERT_EQ(asset.facts.mirrored, 0u);
     const SceneWithLog empty = remove_track(run.driving_scene(), "7");
     Pose dataset_from_car = kAhead;
-    dataset_from_car.translation += run.sequence.world_offset_m;
+    dataset_from_car.translation += run.log.world_offset_m;
     const SceneWithLog inserted =
         insert_track(empty, asset.run.driving_scene(), asset.facts.name, {dataset_from_car});
-    const SimulatedSensor sensor = make_sensor(run.config, run.sequence);
-    const RenderedScan before =
-        ScanRenderer(device(), run.scene, run.config, run.sequence).render(sensor, 0.5);
+    const SimulatedSensor sensor = make_sensor(run.config, run.log);
+    const RenderedScan before = ScanRenderer(device(), run.scene, run.config, run.log).render(sensor, 0.5);
     const RenderedScan after =
-        ScanRenderer(device(), inserted.scene, run.config, inserted.sequence).render(sensor, 0.5);
+        ScanRenderer(device(), inserted.scene, run.config, inserted.log).render(sensor, 0.5);
     EXPECT_EQ(after.instance, before.instance);
     ASSERT_GT(std::ranges::count(before.instance, 1), 50);
     for (std::size_t i = 0; i < before.weight.size(); ++i)

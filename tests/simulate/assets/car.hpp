@@ -44,7 +44,7 @@ inline Run run_of(Surfels car, const Pose& world_from_car) {
     run.scene.surfels = std::move(car);
     run.scene.models = {{"background", 0, 0, {}}, {"7", 0, n, glm::vec3(0.5 * kCarSize_m + 0.1)}};
     run.scene.instances = {{0, ""}, {1, "7"}};
-    Log& log = run.sequence;
+    Log& log = run.log;
     log.lidars[0].sensor = {"small", {}, 720};
     for (int i = 0; i < 24; ++i) log.lidars[0].sensor.beams.push_back({(4.0 - i) * kPi / 180.0});
     log.lidars[0].sensor.first_azimuth_rad = kPi;

@@ -100,9 +100,9 @@ RayTable make_rays_from_the_right(double y) {
 class MirroredCar : public test::DeviceTest {
 protected:
     RenderedScan seen(const relidar::Run& run, const RayTable& rays) {
-        const PoseTrack stands{{0.5}, {Pose{{1, 0, 0, 0}, run.sequence.world_offset_m}}};
+        const PoseTrack stands{{0.5}, {Pose{{1, 0, 0, 0}, run.log.world_offset_m}}};
         const std::string track = run.scene.instances[1].track;
-        return ScanRenderer(device(), run.scene, run.config, run.sequence)
+        return ScanRenderer(device(), run.scene, run.config, run.log)
             .render({.rays = rays, .name = "rays"}, {0.5, stands, ActorTracksByName{{track, stands}}});
     }
 };
@@ -153,7 +153,7 @@ Surfels left_plate() {
 
 relidar::Run train_small_run(const Surfels& car, const std::string& category) {
     relidar::Run run = run_of(car, {});
-    run.sequence.boxes[0].category = category;
+    run.log.boxes[0].category = category;
     ObservedBoxSurface surface(kCarSize_m);
     for (const glm::vec3& p : car.mean)
         surface.mark_observed(glm::dvec3(p), {0.0, p.y > 0.0f ? -1.0 : 1.0, 0.0});

@@ -29,7 +29,7 @@ Run make_run_towards_wall() {
     run.scene.surfels = test::make_plate({kWall_m, 0.0f, 0.0f}, glm::vec2(8.0f));
     run.scene.models = {{"background", 0, 1}};
     run.scene.instances = {{0, ""}};
-    Log& log = run.sequence;
+    Log& log = run.log;
     log.lidars[0].sensor = {"own", {{0.2}, {0.0}, {-0.2}}, 96};
     log.lidars[0].sensor.first_azimuth_rad = kPi;
     log.rolling_shutter = false;
@@ -68,7 +68,7 @@ protected:
         format.deskew = deskew;
         ScanRenderer renderer(device(), run);
         ScanFolderWriter scans(folder, format);
-        for (const Frame& frame : run.sequence.frames)
+        for (const Frame& frame : run.log.frames)
             scans.write_scan(frame.index, renderer.render(sensor, frame.time_s));
         scans.finish();
     }
@@ -116,7 +116,7 @@ protected:
     }
     void expect_recordings(bool rolls) const {
         for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
-            const Log log = load_sequence((folder / recording).string(), {});
+            const Log log = load_log((folder / recording).string(), {});
             EXPECT_EQ(log.rolling_shutter, rolls) << recording;
             const PoseTrack track = shift_track(log.lidar_track(0), log.world_offset_m);
             std::size_t n = 0;
@@ -136,7 +136,7 @@ protected:
 };
 
 TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
-    const SimulatedSensor sensor = choose_sensor("VLP-16:96x10", run.config, run.sequence);
+    const SimulatedSensor sensor = choose_sensor("VLP-16:96x10", run.config, run.log);
     write(sensor, false);
     expect_statements(false);
     expect_recordings(true);
@@ -162,8 +162,7 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
     for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
         DatasetOptions without_poses;
         without_poses.poses_file = kNoPoses;
-        EXPECT_FALSE(load_sequence((folder / recording).string(), without_poses).rolling_shutter)
-            << recording;
+        EXPECT_FALSE(load_log((folder / recording).string(), without_poses).rolling_shutter) << recording;
     }
     const std::vector<TimedPoint> deskewed = points();
     ASSERT_EQ(deskewed.size(), raw.size());
@@ -175,7 +174,7 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
 }
 
 TEST_F(CompensatedLog, ItsOwnSensorIsCompensatedAndSaysSo) {
-    write(choose_sensor("native", run.config, run.sequence), false);
+    write(choose_sensor("native", run.config, run.log), false);
     expect_statements(true);
     expect_recordings(false);
     const std::vector<TimedPoint> points_m = points();
@@ -188,14 +187,14 @@ TEST_F(CompensatedLog, ItsOwnSensorIsCompensatedAndSaysSo) {
 
 TEST_F(CompensatedLog, TheSettingGivesItsOwnSensorARollingShutter) {
     run.config.sensor.rolling_shutter = RollingShutter::yes;
-    write(choose_sensor("native", run.config, run.sequence), false);
+    write(choose_sensor("native", run.config, run.log), false);
     expect_statements(false);
     expect_recordings(true);
     for (const auto& [position_m, time_s] : points())
         EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m);
 
     run.config.sensor.rolling_shutter = RollingShutter::no;
-    write(choose_sensor("VLP-16:96x10", run.config, run.sequence), false);
+    write(choose_sensor("VLP-16:96x10", run.config, run.log), false);
     expect_statements(true);
     for (const auto& [position_m, time_s] : points()) EXPECT_EQ(time_s, kFirst_s);
 }
@@ -204,8 +203,8 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
     ScanRenderer renderer(device(), run);
     for (const char* name : {"native", "VLP-16:96x10"}) {
         const bool rolls = name != std::string("native");
-        renderer.submit_points(choose_sensor(name, run.config, run.sequence),
-                               {kFirst_s, run.sequence.world_from_vehicle}, kFirst_s + 0.05);
+        renderer.submit_points(choose_sensor(name, run.config, run.log),
+                               {kFirst_s, run.log.world_from_vehicle}, kFirst_s + 0.05);
         const LidarPoints points = renderer.wait_for_points().points;
         ASSERT_GT(points.size(), 20u);
         double later = 0.0;

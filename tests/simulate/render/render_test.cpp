@@ -21,7 +21,7 @@ protected:
 
 Surfels make_wall_ahead() { return test::make_plate({10.0f, 0.0f, 0.0f}, glm::vec2(5.0f)); }
 
-Log make_cross_sequence(int columns = 4) { return test::make_static_log({0.0}, columns); }
+Log make_cross_log(int columns = 4) { return test::make_static_log({0.0}, columns); }
 
 Surfels make_post_before_wall() {
     Surfels scene = test::make_plate({10.0f, 0.0f, 0.0f}, {5.0f, 0.02f});
@@ -62,7 +62,7 @@ double compute_strip_share(double value) {
 
 /// The edge of the post is where half of the light passes its Gaussian.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
-    Log log = make_cross_sequence(1);
+    Log log = make_cross_log(1);
     log.lidars[0].sensor.first_azimuth_rad = 0.0;
     log.lidars[0].sensor.divergence_rad = 0.02;
     log.rolling_shutter = true;
@@ -95,7 +95,7 @@ TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     Config config;
     config.sensor.sub_rays = 9;
     config.sensor.returns = 2;
-    ScanRenderer renderer(device(), wrap_background(make_post_before_wall()), config, make_cross_sequence());
+    ScanRenderer renderer(device(), wrap_background(make_post_before_wall()), config, make_cross_log());
     const RenderedScan scan =
         renderer.render(simulate_sensor({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
     EXPECT_THAT(scan.median_range_m, testing::Pointwise(testing::FloatNear(2e-3f), {10.0f, 14.0f, 10.0f}));
@@ -104,7 +104,7 @@ TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
 }
 
 TEST_F(Render, SubRaysNeedADivergence) {
-    Log log = make_cross_sequence();
+    Log log = make_cross_log();
     Config config;
     config.sensor.sub_rays = 5;
     EXPECT_THROW(render(make_wall_ahead(), config, log), UsageError);
@@ -116,7 +116,7 @@ TEST_F(Render, SubRaysNeedADivergence) {
 }
 
 TEST_F(Render, WallIsWhereItStands) {
-    Log log = make_cross_sequence(8);
+    Log log = make_cross_log(8);
     log.rolling_shutter = true;
     log.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}}};
     Config config;
@@ -140,7 +140,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
     // At the range of the post, columns are 1 m apart.
     const Surfels post = test::make_plate({10.0f, 0.0f, 0.0f}, {5.0f, 0.1f});
-    Log log = make_cross_sequence(kColumns);
+    Log log = make_cross_log(kColumns);
     log.lidars[0].sensor.max_range_m = 80.0;
     log.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
     log.frames[1].azimuth_shift_rad.assign(kColumns, float(kColumn_rad));
@@ -173,7 +173,7 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
         scene.append_surfels(test::make_plate({x[i], 0.0f, 0.0f}, glm::vec2(5.0f)));
         scene.opacity_logit[i] = std::log(opacity[i] / (1.0f - opacity[i]));
     }
-    const Log log = make_cross_sequence();
+    const Log log = make_cross_log();
     const float w[] = {0.3f, 0.245f, 0.2275f, 0.20475f};
     for (const std::string range : {"median", "mode"}) {
         Config config;
@@ -194,7 +194,7 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
 /// Beams belong to the sensor of the log, and do not change a different sensor.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = make_wall_ahead();
-    Log log = make_cross_sequence();
+    Log log = make_cross_log();
     log.lidars[0].sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
     log.lidars[0].sensor.beams[1] = {.intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
     log.lidars[0].sensor.beams[2] = {.elevation_rad = -0.1, .intensity_gain = 3.0};
@@ -221,7 +221,7 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
 }
 
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
-    Log log = make_cross_sequence();
+    Log log = make_cross_log();
     const Scene scene = wrap_background(make_wall_ahead());
     Config config;
     ScanRenderer renderer(device(), scene, config, log);
@@ -241,7 +241,7 @@ TEST_F(Render, RangesBeyondTheSensorAreDrops) {
 }
 
 TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
-    Log log = make_cross_sequence();
+    Log log = make_cross_log();
     log.lidars[0].sensor.min_range_m = 0.5;
     log.lidars[0].sensor.max_range_m = 60.0;
     Config config;
@@ -269,7 +269,7 @@ Surfels make_faint_plate_before_wall() {
 /// The mean range lies between plate and wall, but the point on the wall.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = make_faint_plate_before_wall();
-    const Log log = make_cross_sequence();
+    const Log log = make_cross_log();
     Config config;
     const SimulatedSensor sensor = make_sensor(config, log);
     const RenderedScan scan = render(surfels, config, log);
@@ -291,7 +291,7 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
 /// For any range of the image, relative to the farther surface.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = make_faint_plate_before_wall();
-    const Log log = make_cross_sequence();
+    const Log log = make_cross_log();
     Config config;
     const SimulatedSensor sensor = make_sensor(config, log);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
@@ -318,7 +318,7 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
 }
 
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
-    Log log = make_cross_sequence(64);
+    Log log = make_cross_log(64);
     log.world_from_vehicle = {{0.0, 1.0},
                               {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
     log.world_offset_m = {100.0, 0.0, 0.0};
@@ -342,7 +342,7 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
 /// For any orientation, motion and binning of the sensor. The test computes the normal
 /// exactly.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
-    Log log = make_cross_sequence(64);
+    Log log = make_cross_log(64);
     log.rolling_shutter = true;
     log.world_from_vehicle = {
         {0.0, 1.0},
@@ -400,7 +400,7 @@ Scene make_two_placements(Log& log) {
 }
 
 TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
-    Log log = make_cross_sequence();
+    Log log = make_cross_log();
     const Scene scene = make_two_placements(log);
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         Config config;
@@ -417,7 +417,7 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
 }
 
 TEST_F(Render, OnlyVisibleActorsAreHit) {
-    Log log = make_cross_sequence();
+    Log log = make_cross_log();
     const Scene scene = make_two_placements(log);
     const SimulatedSensor sensor = make_sensor({}, log);
     ScanRenderer renderer(device(), scene, {}, log);

@@ -25,15 +25,15 @@ Scene make_wall_and_car() {
 }
 
 Log make_standing_log() {
-    Log sequence = test::make_static_log({0.0}, 8);
-    sequence.rolling_shutter = true;
-    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
-    sequence.world_offset_m = kDatasetOrigin_m;
-    sequence.boxes = {{"car",
-                       "Car",
-                       {1, 2, 2},
-                       {{0.0, 1.0}, {Pose{{1, 0, 0, 0}, {4, 0, 0}}, Pose{{1, 0, 0, 0}, {4, 0, 0}}}}}};
-    return sequence;
+    Log log = test::make_static_log({0.0}, 8);
+    log.rolling_shutter = true;
+    log.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
+    log.world_offset_m = kDatasetOrigin_m;
+    log.boxes = {{"car",
+                  "Car",
+                  {1, 2, 2},
+                  {{0.0, 1.0}, {Pose{{1, 0, 0, 0}, {4, 0, 0}}, Pose{{1, 0, 0, 0}, {4, 0, 0}}}}}};
+    return log;
 }
 
 Pose make_pose_at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)}; }

@@ -441,7 +441,7 @@ TEST(OwnVehicle, BlocksWhatTheLogsLidarSawOfIt) {
 
 TEST(OwnVehicle, OfTheLogIsWhereItsLidarHasNoReturns) {
     relidar::Run run;
-    run.sequence.lidars[0].sensor.beams = {{.elevation_rad = 0.0}, {.elevation_rad = -0.06}};
+    run.log.lidars[0].sensor.beams = {{.elevation_rad = 0.0}, {.elevation_rad = -0.06}};
     EXPECT_TRUE(find_log_body(run, 0, {}).empty());
     // All rays of the upper beam behind the sensor are dropped, within 45 degrees.
     run.scene.sensor_drop = {2, 8, std::vector<float>(16, 0.4f)};

@@ -23,7 +23,7 @@ Run make_asset(const Scene& street, const std::string& name, float brightness) {
     for (std::size_t i = 0; i < asset.scene.surfels.size(); ++i)
         asset.scene.surfels.sh[i * kShFloats] += brightness;
     asset.scene.instances = {{0, name}};
-    asset.sequence.boxes = {{name, "Van", {4.0, 2.0, 1.6}, {}}};
+    asset.log.boxes = {{name, "Van", {4.0, 2.0, 1.6}, {}}};
     return asset;
 }
 

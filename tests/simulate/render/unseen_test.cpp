@@ -30,7 +30,7 @@ Scene make_van_scene(double rear_y_m) {
     return scene;
 }
 
-Log make_van_sequence() {
+Log make_van_log() {
     Log log;
     log.world_offset_m = {kOffset_m, 0.0, 0.0};
     BoxTrack van{"van", "Van", {4.0, 2.0, 1.6}, {}};
@@ -60,7 +60,7 @@ RenderedScan make_grid_scan(float return_m) {
 TEST(UnseenSides, CountsTheRaysThatEnterThroughTheRear) {
     for (const float return_m : {0.0f, 30.0f}) {  // no return, or a wall behind the van
         const std::vector<UnobservedActorSide> sides =
-            find_unseen_sides(make_grid_scan(return_m), make_van_scene(1.0), make_van_sequence());
+            find_unseen_sides(make_grid_scan(return_m), make_van_scene(1.0), make_van_log());
         ASSERT_EQ(sides.size(), 1u);
         EXPECT_EQ(sides[0].track, "van");
         EXPECT_EQ(sides[0].side, BoxSide::rear);
@@ -69,14 +69,14 @@ TEST(UnseenSides, CountsTheRaysThatEnterThroughTheRear) {
 }
 
 TEST(UnseenSides, AreNotReportedIfSeenHiddenAbsentOrUnknown) {
-    EXPECT_TRUE(find_unseen_sides(make_grid_scan(0.0f), make_van_scene(0.0), make_van_sequence()).empty());
-    EXPECT_TRUE(find_unseen_sides(make_grid_scan(5.0f), make_van_scene(1.0), make_van_sequence()).empty());
+    EXPECT_TRUE(find_unseen_sides(make_grid_scan(0.0f), make_van_scene(0.0), make_van_log()).empty());
+    EXPECT_TRUE(find_unseen_sides(make_grid_scan(5.0f), make_van_scene(1.0), make_van_log()).empty());
     RenderedScan late = make_grid_scan(0.0f);
     late.time_s = 9.0;
-    EXPECT_TRUE(find_unseen_sides(late, make_van_scene(1.0), make_van_sequence()).empty());
+    EXPECT_TRUE(find_unseen_sides(late, make_van_scene(1.0), make_van_log()).empty());
     Scene unknown = make_van_scene(1.0);
     unknown.models[1].surface = {};
-    EXPECT_TRUE(find_unseen_sides(make_grid_scan(0.0f), unknown, make_van_sequence()).empty());
+    EXPECT_TRUE(find_unseen_sides(make_grid_scan(0.0f), unknown, make_van_log()).empty());
 }
 
 TEST(UnseenSides, CountsTheRaysThatReturnFromACompletedHalf) {
@@ -85,9 +85,9 @@ TEST(UnseenSides, CountsTheRaysThatReturnFromACompletedHalf) {
     RenderedScan scan = make_grid_scan(0.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
         scan.median_range_m[i] = 8.0f / scan.image.direction[i].x;
-    EXPECT_TRUE(find_unseen_sides(scan, scene, make_van_sequence()).empty()) << "no ray hits an actor";
+    EXPECT_TRUE(find_unseen_sides(scan, scene, make_van_log()).empty()) << "no ray hits an actor";
     scan.instance.assign(scan.median_range_m.size(), 1);
-    const std::vector<UnobservedActorSide> sides = find_unseen_sides(scan, scene, make_van_sequence());
+    const std::vector<UnobservedActorSide> sides = find_unseen_sides(scan, scene, make_van_log());
     ASSERT_EQ(sides.size(), 1u);
     EXPECT_TRUE(sides[0].is_completed);
     EXPECT_EQ(sides[0].side, BoxSide::rear);

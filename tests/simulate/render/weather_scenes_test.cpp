@@ -191,7 +191,7 @@ Surfels make_ground_before_wall() {
 }
 
 /// Eight beams that point down by 3.6 to 5.7 degrees.
-Log make_sequence_looking_down() {
+Log make_log_looking_down() {
     std::vector<double> elevations_rad;
     for (int beam = 0; beam < 8; ++beam) elevations_rad.push_back(-kPi / 180.0 * (3.6 + 0.3 * beam));
     return test::make_static_log(elevations_rad, 360);
@@ -201,7 +201,7 @@ Log make_sequence_looking_down() {
 /// than the ground, which water darkens.
 TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
-    const Log log = make_sequence_looking_down();
+    const Log log = make_log_looking_down();
     ScanRenderer renderer(device(), wrap_background(make_ground_before_wall()), config, log);
     const SimulatedSensor sensor = make_sensor(config, log);
     const RenderedScan dry = renderer.render(sensor, 0.0);
@@ -244,7 +244,7 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
 TEST_F(WetGroundOnScans, MirrorImagesHaveTheVelocityOfTheirObjects) {
     Config config;
     config.render.channels = "velocity";
-    Log log = make_sequence_looking_down();
+    Log log = make_log_looking_down();
     log.world_from_vehicle = {{-1.0, 1.0},
                               {Pose{{1, 0, 0, 0}, {-8.0, 0.0, 0.0}}, Pose{{1, 0, 0, 0}, {8.0, 0.0, 0.0}}}};
     ScanRenderer renderer(device(), wrap_background(make_ground_before_wall()), config, log);

@@ -161,7 +161,7 @@ TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
 TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {
     for (const std::uint64_t seed : {1, 2}) write_sequence("nuscenes", seed);
     write_sequence("nuscenes", 1, true);
-    const Log log = load_sequence("nuscenes:" + folder.string(), {});
+    const Log log = load_log("nuscenes:" + folder.string(), {});
     EXPECT_TRUE(log.name.ends_with("scene-0000")) << "a replaced scene keeps its place";
     ASSERT_EQ(log.frames.size(), 2u * kSequenceFrames);
     ASSERT_EQ(log.boxes.size(), 2u);

@@ -201,7 +201,7 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
     for (int k = 0; k < kFrames; ++k) scans.write_scan(k, room(1.0 + kPeriod_s * k));
     scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
-        const Log log = load_sequence((folder / name).string(), {});
+        const Log log = load_log((folder / name).string(), {});
         expect_same(log, true);
         expect_actors(log, format.world_offset_m);
     }
@@ -222,7 +222,7 @@ TEST_F(RecordedLog, KnowsItsPlaceOnTheEarth) {
     for (int k = 0; k < kScans; ++k) scans.write_scan(k, room(1.0 + kPeriod_s * k));
     scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
-        const Log log = load_sequence((folder / name).string(), {});
+        const Log log = load_log((folder / name).string(), {});
         ASSERT_TRUE(log.georeference) << name << testing::PrintToString(log.notes);
         const GeoConverter found(*log.georeference);
         for (const glm::dvec3& p : {glm::dvec3(0.0), glm::dvec3(50.0, -80.0, 2.0)})
@@ -268,7 +268,7 @@ TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
     for (int k = 0; k < kFrames; ++k) scans.write_scan(k, make_scan_of_car(1.0 + kPeriod_s * k));
     scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
-        const Log log = load_sequence((folder / name).string(), {});
+        const Log log = load_log((folder / name).string(), {});
         ASSERT_EQ(log.boxes.size(), 1u) << testing::PrintToString(log.notes);
         const PoseTrack& boxes = log.boxes[0].world_from_box;
         ASSERT_EQ(boxes.pose.size(), std::size_t(kFrames));

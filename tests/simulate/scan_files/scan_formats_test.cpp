@@ -139,7 +139,7 @@ TEST_F(ExrScans, AreReadAsScans) {
     write();
     write_text_file(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
     write_text_file(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
-    const Scan scan = load_sequence(folder.string(), {}).frames.at(0).scan;
+    const Scan scan = load_log(folder.string(), {}).frames.at(0).scan;
     EXPECT_THAT(scan.range_m, testing::ElementsAre(10.5f, 12.0f, 0.0f, 55.25f))
         << "the median, where the ray returns";
     EXPECT_THAT(scan.intensity, testing::ElementsAre(0.5f, 1.0f, 0.0f, 0.125f));
@@ -157,8 +157,7 @@ TEST_F(ExrScans, AreReadAsScans) {
                 testing::ElementsAre(0.5f, 0.5f, 0.0f, 1.0f));
     format.deskew = true;
     write();
-    EXPECT_THROW(load_sequence(folder.string(), {}), DataError)
-        << "its rays are no longer those of the sensor";
+    EXPECT_THROW(load_log(folder.string(), {}), DataError) << "its rays are no longer those of the sensor";
 }
 
 }  // namespace

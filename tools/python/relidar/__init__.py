@@ -12,10 +12,15 @@ try:
 
 
     def __getattr__(name):
-        """Imports relidar.torch, and with it PyTorch, when it is first used."""
+        """Imports relidar.torch, and with it PyTorch, when it is first used. Old names still work in version 0.1."""
+        import importlib
+        import warnings
+        new_names = {"load_sequence": "load_log", "Sequence": "Log"}
+        if name in new_names:
+            warnings.warn(f"relidar.{name} is now relidar.{new_names[name]}", DeprecationWarning, stacklevel=2)
+            return globals()[new_names[name]]
         if name != "torch":
             raise AttributeError(f"module 'relidar' has no attribute '{name}'")
-        import importlib
         return importlib.import_module("relidar.torch")
 except ModuleNotFoundError as error:
     if error.name != "relidar._relidar":

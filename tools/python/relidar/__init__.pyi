@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # Types of the module. tests/python/stubs_test.py compares names and arguments with the
 # module itself. The docstrings describe their meaning.
-from collections.abc import Callable, Mapping, Sequence as _Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any, Final, TypedDict
 
@@ -73,7 +73,7 @@ def pose(x: float, y: float, z: float, yaw_deg: float = 0.0, pitch_deg: float = 
 def sensors() -> list[str]: ...
 def rays(sensor: str, time: float = 0.0) -> _Arrays: ...
 
-class Sequence:
+class Log:
     def __len__(self) -> int: ...
     name: Final[str]
     notes: Final[list[str]]
@@ -88,7 +88,7 @@ class Sequence:
     def rays(self, lidar: str = "") -> _Arrays: ...
     def scan(self, position: int) -> _Arrays: ...
 
-def load_sequence(dataset: _Path, config: Config | None = None, progress: _Progress = None) -> Sequence: ...
+def load_log(dataset: _Path, config: Config | None = None, progress: _Progress = None) -> Log: ...
 def save_street(
     folder: _Path, *, seed: int = 1, n_frames: int = 30, rows: int = 32, columns: int = 512, people: bool = False,
     gait: bool = False
@@ -96,8 +96,8 @@ def save_street(
 
 class Scene:
     def __init__(
-        self, surfels: Mapping[str, _Float], models: _Sequence[Mapping[str, Any]] | None = None,
-        instances: _Sequence[Mapping[str, Any]] | None = None
+        self, surfels: Mapping[str, _Float], models: Sequence[Mapping[str, Any]] | None = None,
+        instances: Sequence[Mapping[str, Any]] | None = None
     ) -> None: ...
     surfels: Final[dict[str, _Float]]
     models: Final[list[dict[str, Any]]]
@@ -110,7 +110,7 @@ class Run:
     def save(self, folder: _Path, *, overwrite: bool = False) -> None: ...
     def render(
         self, sensor: _Sensor = None, *, pose: _Pose | None = None, time: float | None = None, actors: _Actors = None, lidar: str = "",
-        only: _Sequence[str] = [], sample: int | None = None, frame: str = "sensor", deskew: bool = False, weather: str = "",
+        only: Sequence[str] = [], sample: int | None = None, frame: str = "sensor", deskew: bool = False, weather: str = "",
         boxes: bool = False
     ) -> _Arrays: ...
     def points(
@@ -118,7 +118,7 @@ class Run:
         sample: int | None = None
     ) -> dict[str, DeviceArray | _Double]: ...
     def rays(self, sensor: _Sensor = None, lidar: str = "") -> _Arrays: ...
-    def training_rays(self, sequence: Sequence, position: int) -> _Arrays: ...
+    def training_rays(self, log: Log, position: int) -> _Arrays: ...
     def spawn(self, actor: str | Run, name: str) -> None: ...
     def despawn(self, name: str) -> None: ...
     def with_surfels(self, surfels: Mapping[str, _Float]) -> Run: ...
@@ -161,9 +161,9 @@ class TrainProgress:
     n_surfels: Final[int]
 
 def train(
-    sequence: Sequence, config: Config | None = None, *, callback: Callable[[TrainProgress], object] | None = None,
+    log: Log, config: Config | None = None, *, callback: Callable[[TrainProgress], object] | None = None,
     note: Callable[[str], object] | None = None, checkpoints: _Path | None = None, resume: bool = False,
-    losses: _Sequence[Callable[[Any], Any]] = (), device: Device | None = None
+    losses: Sequence[Callable[[Any], Any]] = (), device: Device | None = None
 ) -> Run: ...
 
 class _Scored(TypedDict):
@@ -176,7 +176,7 @@ class _Evaluation(TypedDict):
     frames: list[_Scored]
     trace_ms: float
 
-def evaluate(run: Run, sequence: Sequence | None = None, *, baseline: str | None = None, progress: _Progress = None) -> _Evaluation: ...
+def evaluate(run: Run, log: Log | None = None, *, baseline: str | None = None, progress: _Progress = None) -> _Evaluation: ...
 def write_picture(path: _Path, scan: Mapping[str, NDArray[Any]]) -> None: ...
 
 class DifferentiableRenderer:
@@ -187,7 +187,7 @@ class DifferentiableRenderer:
     device: Final[Device]
     likelihood_scale_m: Final[float]
     def place(
-        self, poses: _Double | None = None, view_origin: _Double | None = None, present: _Sequence[bool] | None = None, *, refit: bool = True
+        self, poses: _Double | None = None, view_origin: _Double | None = None, present: Sequence[bool] | None = None, *, refit: bool = True
     ) -> None: ...
     def place_frame(self, run: Run, position: int, view_origin: _Double | None = None, *, refit: bool = True) -> None: ...
     def forward(self, origins: _Float, directions: _Float) -> _Arrays: ...

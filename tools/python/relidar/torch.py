@@ -128,9 +128,9 @@ class Frame:
     (0: ignored): [n] tensors; shape: (rows, columns); view_origin: position of the sensor, [3] array
     """
 
-    def __init__(self, run, sequence, position):
-        """run: gives poses and actors; sequence: its log; position: of the frame in run.times"""
-        arrays = run.training_rays(sequence, position)
+    def __init__(self, run, log, position):
+        """run: gives poses and actors; log: its log; position: of the frame in run.times"""
+        arrays = run.training_rays(log, position)
         self.run, self.position, self.shape, self.view_origin = run, position, arrays["shape"], arrays["view_origin"]
         self.rays = torch.from_numpy(arrays["rays"])
         self.range, self.intensity, self.weight = torch.from_numpy(arrays["measured"]).unbind(1)

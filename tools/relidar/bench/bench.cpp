@@ -127,7 +127,7 @@ BenchTimes measure_times(Device& device, const BenchCase& bench_case) {
 /// the recorded path. Submits the scans of all sensors at one time together. While they
 /// are read, the device renders the next scans.
 double scans_per_second(ScanRenderer& renderer, const Run& run, std::span<const RenderedSensor> sensors) {
-    const PoseTrack path = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
+    const PoseTrack path = shift_track(run.log.lidar_track(0), run.log.world_offset_m);
     const double first_s = path.time_s.front(), length_s = path.time_s.back() - first_s;
     const auto submit = [&](int scan) {
         using Timing = ScanRenderer::SubmissionTiming;

@@ -29,15 +29,15 @@ BenchCase street_case(std::uint32_t n_surfels, bool smaller_scales_for_more_surf
 }
 
 BenchCase case_of_run(const Run& run) {
-    if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
+    if (run.log.frames.empty() || count_surfels(run.scene) == 0)
         fail("cannot render run {}: it has no frames or no surfels; expected at least one of each",
              run.folder.string());
     const Frame& frame =
-        run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
-    const SimulatedSensor sensor = make_sensor(run.config, run.sequence, frame.lidar);
+        run.log.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
+    const SimulatedSensor sensor = make_sensor(run.config, run.log, frame.lidar);
     RayTable table = sensor.rays;
     // The sensor has no table if its rays differ from scan to scan.
-    if (table.size() == 0) table = make_lidar_rays(run.sequence.lidar_of(frame), frame.time_s);
+    if (table.size() == 0) table = make_lidar_rays(run.log.lidar_of(frame), frame.time_s);
     if (table.size() == 0)
         fail("run {}: its LiDAR has no beams, so it has no rays; expected at least one ray",
              run.folder.string());
@@ -45,7 +45,7 @@ BenchCase case_of_run(const Run& run) {
     bench.name = fmt::format("{}, frame {}", run.folder.string(), frame.index);
     bench.rows = table.rows;
     bench.columns = table.columns;
-    const PoseTrack track = run.sequence.lidar_track(frame.lidar);
+    const PoseTrack track = run.log.lidar_track(frame.lidar);
     bench.view_origin_m = glm::vec3(track.pose_at(frame.time_s).translation);
     const bool has_rolling_shutter = is_rolling(sensor, run.config);
     for (std::size_t i = 0; i < table.size(); ++i) {
@@ -55,7 +55,7 @@ BenchCase case_of_run(const Run& run) {
         bench.rays.direction.emplace_back(ray.direction);
         bench.rays.time_s.push_back(has_rolling_shutter ? table.time_offset_s[i] : 0.0f);
     }
-    bench.placed = pose_instances(run.scene, run.sequence, timing_of(frame));
+    bench.placed = pose_instances(run.scene, run.log, timing_of(frame));
     bench.scene = with_all_blocks(run.scene);  // A long log has its surfels in several files.
     bench.config = run.config;
     return bench;

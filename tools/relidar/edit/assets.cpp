@@ -130,8 +130,8 @@ std::vector<RenderedScan> render_views(Device& device, const ActorAsset& asset, 
     const bool has_normals = properties_of(run.scene.surfels.primitive).has_normals;
     config.render.channels = has_normals ? "normal" : "";  // for brightness_of()
     config.sensor.sub_rays = config.sensor.returns = 1;
-    ScanRenderer renderer(device, run.scene, config, run.sequence);
-    const glm::dvec3& size_m = run.sequence.boxes.front().size_m;
+    ScanRenderer renderer(device, run.scene, config, run.log);
+    const glm::dvec3& size_m = run.log.boxes.front().size_m;
     const double pixel_m = std::max(kPixelSize_m, std::max(size_m.x, size_m.y) / kMaxViewWidth_px);
     // The sensor and the asset have the same pose, so camera_rays() are in the box frame.
     const PoseTrack pose{{time_s}, {dataset_from_box}};
@@ -146,7 +146,7 @@ std::vector<RenderedScan> render_views(Device& device, const ActorAsset& asset, 
 /// Draws pictures of an asset. The upper row shows the left, right and top sides. The
 /// lower row shows the back and the front.
 Image draw_asset(Device& device, const ActorAsset& asset, const ObservedBoxSurface& surface) {
-    const Log& log = asset.run.sequence;
+    const Log& log = asset.run.log;
     const double time_s = log.frames.front().time_s;
     Pose dataset_from_box = log.boxes.front().world_from_box.pose_at(time_s);
     dataset_from_box.translation += log.world_offset_m;
@@ -221,7 +221,7 @@ void make_unique_name(ActorAsset& asset, std::set<std::string>& used_names) {
     for (int n = 2; !used_names.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
     if (name == stem) return;
     asset.facts.name = asset.run.scene.models[1].name = asset.run.scene.instances[1].track =
-        asset.run.sequence.boxes[0].id = name;
+        asset.run.log.boxes[0].id = name;
 }
 
 std::vector<std::string> format_asset_row(const AssetDescription& asset_description) {

@@ -30,7 +30,7 @@ struct EditOptions {
 /// objects, with sides without observations, or with too few surfels for their distance.
 std::string placement_notes(const SceneWithLog& driving_scene, const Log& original_log) {
     std::string text;
-    const SceneWithLogView edited{driving_scene.scene, driving_scene.sequence};
+    const SceneWithLogView edited{driving_scene.scene, driving_scene.log};
     const std::vector<std::string> tracks = list_changed_tracks(edited, original_log.boxes);
     for (const Note& note : check_placement(edited, tracks)) text += fmt::format("note: {}\n", note.text);
     for (const std::string& track : tracks) {
@@ -66,9 +66,9 @@ void run_edit(const EditOptions& options) {
     if (!ply_note.empty()) report += fmt::format("note: {}: {}\n", options.ply, ply_note);
 
     const std::string origin = absolute_path(options.run);
-    SceneWithLog driving{std::move(run.scene), std::move(run.sequence)};
+    SceneWithLog driving{std::move(run.scene), std::move(run.log)};
     // The boxes before all edits show later which actors have changed.
-    const Log original_log = strip_frames(driving.sequence);
+    const Log original_log = strip_frames(driving.log);
     for (const EditArgument& edit : options.edits) {
         EditResult applied = apply_edit(std::move(driving), edit);
         driving = std::move(applied.driving);
@@ -81,7 +81,7 @@ void run_edit(const EditOptions& options) {
 
     // set_driving_scene() completes actors whose boxes differ from these. All actors
     // are complete already, so none may differ.
-    run.sequence.boxes = driving.sequence.boxes;
+    run.log.boxes = driving.log.boxes;
     run.set_driving_scene(std::move(driving));
     edited.save_run_in(run);
     if (!options.quiet)

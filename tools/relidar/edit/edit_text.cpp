@@ -84,13 +84,13 @@ NewActorMotion parse_motion(const EditArgument& edit, const std::string& text, c
     if (std::optional<GroundPlacement> ground = parse_ground(edit, position_text)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
-        return stand_on_ground({edited.scene, edited.sequence}, *ground,
-                               {actor.owner.scene, actor.owner.sequence}, actor.track);
+        return stand_on_ground({edited.scene, edited.log}, *ground, {actor.owner.scene, actor.owner.log},
+                               actor.track);
     }
     const std::vector<double> numbers = parse_numbers(edit, position_text, 4, 6);
     if (numbers.size() == 5) fail_edit(edit, value_syntax(edit));  // pitch without roll
     const Pose start = make_pose(numbers);
-    if (!(glm::distance(start.translation, edited.sequence.world_offset_m) < kFarOff_m))
+    if (!(glm::distance(start.translation, edited.log.world_offset_m) < kFarOff_m))
         fail_edit(edit, "a position less than 1e6 m from the log");
     return {start, speed_mps};
 }
@@ -148,10 +148,10 @@ EditResult apply_class(SceneWithLog edited, const EditArgument& edit) {
 /// Returns a warning if an edited actor is absent in all frames of the log, or in frames
 /// in which it was present before. Otherwise, returns an empty text.
 std::string warn_absent(const SceneWithLog& edited, const std::string& id, const BoxTrack& before) {
-    const BoxTrack* box = find_box(edited.sequence, id);
+    const BoxTrack* box = find_box(edited.log, id);
     const auto is_present = [&](const Frame& frame) { return box && box->is_observed(frame.time_s); };
-    if (std::ranges::any_of(edited.sequence.frames, is_present))
-        return describe_absence(before, edited.sequence);  // lists the frames that the edit has lost
+    if (std::ranges::any_of(edited.log.frames, is_present))
+        return describe_absence(before, edited.log);  // lists the frames that the edit has lost
     return fmt::format(
         "actor {} is not visible in any frame, because all times of its trajectory are outside the time of "
         "the log",
@@ -159,7 +159,7 @@ std::string warn_absent(const SceneWithLog& edited, const std::string& id, const
 }
 
 BoxTrack find_box_track(const SceneWithLog& edited, const std::string& track_id) {
-    const BoxTrack* box = find_box(edited.sequence, track_id);
+    const BoxTrack* box = find_box(edited.log, track_id);
     // The function that edits an unknown actor reports the error.
     return box ? *box : BoxTrack{};
 }
@@ -186,11 +186,11 @@ EditResult apply_trajectory(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, file] = split_text(edit, edit.value, edit.value.find(':'));
     const BoxTrack before = find_box_track(edited, track);
     NewActorMotion motion{.dataset_from_box = {},
-                          .dataset_path = read_actor_path(file, edited.sequence.georeference)};
+                          .dataset_path = read_actor_path(file, edited.log.georeference)};
     // NaN: the file has the word `ground` instead of heights.
     if (std::isnan(motion.dataset_path.pose.front().translation.z)) {
         // The actor and the ground are in the same scene. The actor keeps its clearance.
-        const SceneWithLogView scene{edited.scene, edited.sequence};
+        const SceneWithLogView scene{edited.scene, edited.log};
         motion = follow_ground(scene, motion.dataset_path, /*clearance_m=*/{}, scene, track);
     }
     edited = replace_track(std::move(edited), track, motion.dataset_path);
@@ -226,8 +226,8 @@ ExternalActor load_actor(const EditArgument& context, const std::string& source)
 
 /// Returns a warning if an actor was recorded with another sensor than the edited run.
 std::string warn_other_sensor(const ExternalActor& actor, const SceneWithLog& edited) {
-    const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
-                         &run_sensor = edited.sequence.lidars[0].sensor;
+    const SpinningSensor &actor_sensor = actor.run.log.lidars[0].sensor,
+                         &run_sensor = edited.log.lidars[0].sensor;
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
         return "";
     return fmt::format(
@@ -255,9 +255,9 @@ EditResult apply_insert(SceneWithLog edited, const EditArgument& edit) {
 
 /// Sets the place of the log on the earth.
 EditResult apply_georeference(SceneWithLog edited, const EditArgument& edit) {
-    const GeoreferenceFit fit = read_georeference(edit.value, edited.sequence);
+    const GeoreferenceFit fit = read_georeference(edit.value, edited.log);
     if (!fit.georeference) fail("{}: {}", edit.value, fit.note);
-    edited.sequence.georeference = fit.georeference;
+    edited.log.georeference = fit.georeference;
     return {std::move(edited), "set the georeference to that of " + edit.value, fit.note};
 }
 

@@ -28,8 +28,8 @@ constexpr float kErrorScale_m = 0.3f;  // distance that the brightest colour of 
 /// Returns the rays of a frame that may hit a box, with their real returns, so that only
 /// these are rendered: all rays in the cone around the sphere that contains the box.
 Scan rays_near_box(const Run& run, const Frame& frame, const BoxTrack& box) {
-    const Pose sensor = run.sequence.world_from_vehicle.mounted_pose_at(
-        frame.time_s, run.sequence.lidar_of(frame).vehicle_from_sensor);
+    const Pose sensor =
+        run.log.world_from_vehicle.mounted_pose_at(frame.time_s, run.log.lidar_of(frame).vehicle_from_sensor);
     const glm::dvec3 centre_m = inverse(sensor) * box.world_from_box.pose_at(frame.time_s).translation;
     const double distance_m = glm::length(centre_m), radius_m = 0.5 * glm::length(box.size_m) + kWider_m;
     // A sensor inside the sphere needs the rays in all directions.
@@ -76,13 +76,13 @@ double mean_distance_m(const Log& log, std::span<const Frame* const> frames, con
 WalkingActorFrames nearest_walker(const Run& run) {
     WalkingActorFrames nearest;
     for (const ModelInstance& instance : run.scene.instances) {
-        const BoxTrack* box = find_box(run.sequence, instance.track);
+        const BoxTrack* box = find_box(run.log, instance.track);
         const bool walks = run.scene.models[std::size_t(instance.model)].stride_m > 0.0f;
         if (!box || !walks) continue;
-        const std::vector<const Frame*> frames = frames_of_box(run.sequence, *box);
+        const std::vector<const Frame*> frames = frames_of_box(run.log, *box);
         for (std::size_t first = 0; first + kStripFrames <= frames.size(); ++first) {
             const std::span successive = std::span(frames).subspan(first, kStripFrames);
-            const double distance_m = mean_distance_m(run.sequence, successive, *box);
+            const double distance_m = mean_distance_m(run.log, successive, *box);
             if (distance_m < nearest.distance_m)
                 nearest = {box, {successive.begin(), successive.end()}, distance_m};
         }
@@ -141,13 +141,13 @@ MovingBoxPoints box_points(ScanRenderer& renderer, const Run& run, const Config&
     const Scan scan = rays_near_box(run, frame, box);
     if (scan.rays.size() == 0) return {};
     check_interrupt();
-    SimulatedSensor sensor = make_sensor(config, run.sequence, frame.lidar);
+    SimulatedSensor sensor = make_sensor(config, run.log, frame.lidar);
     sensor.rays = scan.rays;
     sensor.follows_sweeps = false;  // The rays are those of this sweep, so they must not change.
-    sensor.rolling_shutter = run.sequence.rolling_shutter;
+    sensor.rolling_shutter = run.log.rolling_shutter;
     const RenderedScan rendered = renderer.render(sensor, frame.time_s);
     return points_in_box(rendered.image, point_ranges(rendered, config), measured_image(config, scan),
-                         run.sequence, timing_of(frame), box);
+                         run.log, timing_of(frame), box);
 }
 
 /// One traced ray and at most one return per beam.
@@ -195,17 +195,17 @@ std::vector<PictureDot> error_dots(std::vector<PictureDot> simulated_dots, const
 /// actor has too few real points.
 std::optional<ReportFigure> draw_actor(ScanRenderer& renderer, const Run& run, const Config& config,
                                        const ActorScore& actor) {
-    const BoxTrack* box = find_box(run.sequence, actor.track);
+    const BoxTrack* box = find_box(run.log, actor.track);
     if (!box) return std::nullopt;
     ActorPanels panels;
     std::vector<std::vector<PictureDot>> errors;
     for (const int position : run.split.test) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const Frame& frame = run.log.frames[std::size_t(position)];
         if (panels.real.size() == kStripFrames) break;
         if (frame.scan.range_m.empty() || !box->is_observed(frame.time_s)) continue;
         const MovingBoxPoints points = box_points(renderer, run, config, frame, *box);
         if (points.real_m.empty() && points.simulated_m.empty()) continue;
-        panels.add_frame(points, viewing_direction(run.sequence, frame, *box));
+        panels.add_frame(points, viewing_direction(run.log, frame, *box));
         errors.push_back(error_dots(panels.simulated.back(), points));
     }
     if (!panels.has_enough_points()) return std::nullopt;
@@ -230,7 +230,7 @@ std::optional<ReportFigure> draw_walker(Device& device, const Run& run) {
     if (!walker.box) return std::nullopt;
     const BoxTrack& box = *walker.box;
     const Config config = picture_config(run);
-    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    ScanRenderer renderer(device, run.scene, config, run.log);
     // A viewer at the right side of the actor looks along y of its box.
     const glm::dvec2 view_direction(0.0, 1.0);
     ActorPanels panels;
@@ -252,7 +252,7 @@ std::optional<ReportFigure> draw_walker(Device& device, const Run& run) {
 std::vector<ReportFigure> draw_worst_actors(Device& device, const Run& run, const Evaluation& result) {
     constexpr std::size_t kMaxFigures = 3;
     const Config config = picture_config(run);
-    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    ScanRenderer renderer(device, run.scene, config, run.log);
     std::vector<ReportFigure> figures;
     // The worst actor is first.
     for (const ActorScore& actor : result.actors) {
@@ -267,7 +267,7 @@ void write_worst_actors(const std::filesystem::path& folder, Device& device, con
                         const Evaluation& result) {
     constexpr std::size_t kMaxActors = 20;
     const Config config = picture_config(run);
-    ScanRenderer renderer(device, run.scene, config, run.sequence);
+    ScanRenderer renderer(device, run.scene, config, run.log);
     for (std::size_t i = 0; i < std::min(kMaxActors, result.actors.size()); ++i) {
         const std::optional<ReportFigure> figure = draw_actor(renderer, run, config, result.actors[i]);
         if (!figure) continue;

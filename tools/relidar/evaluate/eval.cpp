@@ -139,11 +139,11 @@ void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const st
     std::optional<Evaluation> baseline;
     if (has_baseline)
         baseline = gather_evaluation(
-            evaluate_baseline(options.baseline, run.config, run.sequence, run.split, callback), ranks);
+            evaluate_baseline(options.baseline, run.config, run.log, run.split, callback), ranks);
     ScanRenderer renderer(device, run);
     const auto process_frame = [&](const ScoredFrame& frame) { output.write_pictures(frame, run.config); };
     Evaluation result = gather_evaluation(
-        evaluate_frames(renderer, run.config, run.sequence, run.split.test, callback, process_frame), ranks);
+        evaluate_frames(renderer, run.config, run.log, run.split.test, callback, process_frame), ranks);
 
     // The first process now has all scores and writes the results alone.
     if (!ranks.is_first()) return;

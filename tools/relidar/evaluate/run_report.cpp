@@ -114,7 +114,7 @@ ReportFacts training_facts(const Run& run, const TrainResult& trained, const Dev
     const auto& sensor = run.config.sensor;
     const bool is_native = sensor.grid == "native";
     return {{"Command", args},
-            {"Log", run.sequence.source},
+            {"Log", run.log.source},
             {"Preset", run.config.preset},
             {"Image", is_native ? "native" : sensor.grid + ", " + sensor.grid_method},
             {"Range", run.config.render.range},
@@ -198,14 +198,14 @@ std::vector<ReportKeyMetric> key_metrics() {
 /// kernels. The scores are missing, because add_evaluation() adds them later.
 Report training_report(const Run& run, const TrainResult& trained, const Device& device,
                        const std::string& args) {
-    const SpinningSensor& sensor = run.sequence.lidars[0].sensor;
+    const SpinningSensor& sensor = run.log.lidars[0].sensor;
     Report report;
-    report.title = "relidar: " + run.sequence.name;
+    report.title = "relidar: " + run.log.name;
     report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels in {} of training.",
                                  count_frames(run.split.train.size()), sensor.beams.size(), sensor.columns,
                                  count_surfels(run.scene), format_duration(trained.train_s));
     report.facts = training_facts(run, trained, device, args);
-    const std::vector<BoxTrack> masked = find_unmodelled(run.scene, run.sequence, run.config.init);
+    const std::vector<BoxTrack> masked = find_unmodelled(run.scene, run.log, run.config.init);
     if (!masked.empty())
         report.facts.emplace_back("Moving objects that are not trained", format_box_list(masked));
     report.curves = loss_curves(trained);
@@ -219,12 +219,12 @@ Report training_report(const Run& run, const TrainResult& trained, const Device&
 Report evaluation_report(const Run& run, const Evaluation& result, const Device& device,
                          const std::string& args) {
     Report report;
-    report.title = "relidar: " + run.sequence.name + ", scored";
+    report.title = "relidar: " + run.log.name + ", scored";
     report.summary = fmt::format("A scene of {} surfels, rendered in {:.2f} s per frame.",
                                  count_surfels(run.scene), result.trace_ms / 1000.0);
     report.facts = {{"Command", args},
                     {"Run", run.folder.string()},
-                    {"Log", run.sequence.source},
+                    {"Log", run.log.source},
                     {"Device", device.info().name},
                     {"Driver", device.info().driver},
                     {"relidar", RELIDAR_VERSION}};

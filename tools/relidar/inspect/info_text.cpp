@@ -24,9 +24,9 @@ double path_length_m(const PoseTrack& track) {
     return length;
 }
 
-std::optional<double> return_share(const Log& sequence) {
+std::optional<double> return_share(const Log& log) {
     std::size_t n_returns = 0, n_rays = 0;
-    for (const Frame& frame : sequence.frames) {
+    for (const Frame& frame : log.frames) {
         n_returns += frame.scan.count_returns();
         n_rays += frame.scan.range_m.size();
     }
@@ -162,9 +162,9 @@ std::string dump_json(const Json& json) {
 }
 
 /// Summarises a box: when it is present, where it starts, how far and fast it moves.
-BoxSummary summarise_box(const Log& sequence, const BoxTrack& box) {
+BoxSummary summarise_box(const Log& log, const BoxTrack& box) {
     BoxSummary summary{box};
-    for (const Frame& frame : sequence.frames) {
+    for (const Frame& frame : log.frames) {
         if (!box.is_observed(frame.time_s)) continue;
         if (summary.n_frames == 0) summary.first_frame = frame.index;
         summary.last_frame = frame.index;
@@ -177,14 +177,14 @@ BoxSummary summarise_box(const Log& sequence, const BoxTrack& box) {
     summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
     // The yaw angle is the direction of the x axis in the first pose.
     const glm::dvec3 forward = track.pose.front().rotation * glm::dvec3(1, 0, 0);
-    summary.start_m = track.pose.front().translation + sequence.world_offset_m;
+    summary.start_m = track.pose.front().translation + log.world_offset_m;
     summary.start_yaw_deg = std::atan2(forward.y, forward.x) * 180.0 / kPi;
     return summary;
 }
 
 /// Summarises a LiDAR of a log: its pattern of rays and its numbers of scans and returns.
-LidarSummary summarise_lidar(const Log& sequence, int lidar_index) {
-    const Lidar& lidar = sequence.lidars[std::size_t(lidar_index)];
+LidarSummary summarise_lidar(const Log& log, int lidar_index) {
+    const Lidar& lidar = log.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = lidar.sensor;
     LidarSummary summary;
     summary.name = lidar.name;
@@ -209,7 +209,7 @@ LidarSummary summarise_lidar(const Log& sequence, int lidar_index) {
             summary.top_deg = highest.elevation_rad * 180.0 / kPi;
         }
     }
-    for (const Frame& frame : sequence.frames) {
+    for (const Frame& frame : log.frames) {
         if (frame.lidar != lidar_index) continue;
         ++summary.n_frames;
         for (const AdditionalReturns& second : frame.scan.second_returns)
@@ -276,21 +276,21 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
 
 }  // namespace
 
-LogSummary summarise_log(const Log& sequence, const InitOptions& options) {
-    LogSummary summary{sequence, {sequence.notes.begin(), sequence.notes.end()}};
-    for (std::size_t i = 0; i < sequence.lidars.size(); ++i)
-        summary.lidars.push_back(summarise_lidar(sequence, int(i)));
-    summary.path_m = path_length_m(sequence.world_from_vehicle);
-    summary.returns_share = return_share(sequence);
+LogSummary summarise_log(const Log& log, const InitOptions& options) {
+    LogSummary summary{log, {log.notes.begin(), log.notes.end()}};
+    for (std::size_t i = 0; i < log.lidars.size(); ++i)
+        summary.lidars.push_back(summarise_lidar(log, int(i)));
+    summary.path_m = path_length_m(log.world_from_vehicle);
+    summary.returns_share = return_share(log);
     summary.n_scans_read = std::size_t(
-        std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
-    for (const BoxTrack& box : sequence.boxes) summary.boxes.push_back(summarise_box(sequence, box));
-    summary.masked = format_box_list(find_unselected(sequence, options));
+        std::ranges::count_if(log.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
+    for (const BoxTrack& box : log.boxes) summary.boxes.push_back(summarise_box(log, box));
+    summary.masked = format_box_list(find_unselected(log, options));
     return summary;
 }
 
 RunSummary summarise_run(const Run& run) {
-    RunSummary summary{run, summarise_log(run.sequence, run.config.init)};
+    RunSummary summary{run, summarise_log(run.log, run.config.init)};
     if (!run.refined_poses.empty() && run.refined_poses != "none")
         summary.log.notes.push_back(fmt::format(
             "poses: training corrected the poses of the log (train.refine_poses={}), so positions of the "
@@ -299,9 +299,9 @@ RunSummary summarise_run(const Run& run) {
     // An edited run has no list of ignored boxes, because the list would contain actors
     // that the edits have removed.
     summary.log.masked =
-        run.edits.empty() ? format_box_list(find_unmodelled(run.scene, run.sequence, run.config.init)) : "";
-    for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i) {
-        const SimulatedSensor sensor = make_sensor(run.config, run.sequence, int(i));
+        run.edits.empty() ? format_box_list(find_unmodelled(run.scene, run.log, run.config.init)) : "";
+    for (std::size_t i = 0; i < run.log.lidars.size(); ++i) {
+        const SimulatedSensor sensor = make_sensor(run.config, run.log, int(i));
         const int rows = sensor.grid ? sensor.grid->rows : sensor.rays.rows;
         const int columns = sensor.grid ? sensor.grid->columns : sensor.rays.columns;
         summary.rendered_sensors.push_back({sensor.name, rows, columns, sensor.limits.max_m});
@@ -317,7 +317,7 @@ RunSummary summarise_run(const Run& run) {
     // The blocks of a long log also belong to the background, the first model.
     for (const SceneBlock& block : run.scene.blocks) summary.models.front().second += block.count;
     for (const int position : run.split.test)
-        summary.test_frames.push_back(run.sequence.frames[static_cast<std::size_t>(position)].index);
+        summary.test_frames.push_back(run.log.frames[static_cast<std::size_t>(position)].index);
     for (const auto& entry : std::filesystem::directory_iterator(run.folder)) {
         if (entry.is_regular_file())
             summary.files.emplace_back(entry.path().filename().string(), entry.file_size());

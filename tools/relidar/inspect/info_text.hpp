@@ -51,7 +51,7 @@ struct LogSummary {
 
 /// Summarises a log for `relidar info`.
 /// @param options which moving objects get a model
-LogSummary summarise_log(const Log& sequence, const InitOptions& options);
+LogSummary summarise_log(const Log& log, const InitOptions& options);
 
 struct RenderedSensorSummary {
     std::string name;

@@ -68,17 +68,17 @@ void check_capture(const std::filesystem::path& capture, const std::string& log_
 }
 
 /// Writes the packets that the sensor of the log would send over the network.
-void write_log_as_packets(const Log& sequence, const ConvertOptions& options) {
+void write_log_as_packets(const Log& log, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
-    check_capture(out, sequence.source, options.overwrite);
+    check_capture(out, log.source, options.overwrite);
     const OutputFolder folder(folder_of(out));
     TerminalProgress progress(options.quiet);
-    const std::size_t n_packets = save_packets(sequence, out, interruptible_progress(progress));
+    const std::size_t n_packets = save_packets(log, out, interruptible_progress(progress));
     end_progress();
-    note_time_shift(sequence, time_shift_of(sequence));
+    note_time_shift(log, time_shift_of(log));
     if (!options.quiet)
         print(fmt::format("wrote {}: {} packets of {} scans\n", absolute_path(options.out), n_packets,
-                          sequence.frames.size()));
+                          log.frames.size()));
 }
 
 /// Reads a log and writes it as a folder of plain files or, if the name of the output
@@ -88,19 +88,18 @@ void run_convert(const ConvertOptions& options) {
     Config config = make_config(options.settings);
     config.dataset.path = options.dataset;
     apply_selection(config, {.frames = options.frames, .sequence = ""});
-    const Log sequence = load_dataset(config, options.quiet);
+    const Log log = load_dataset(config, options.quiet);
     install_handlers();
-    if (std::filesystem::path(options.out).extension() == ".pcap")
-        return write_log_as_packets(sequence, options);
+    if (std::filesystem::path(options.out).extension() == ".pcap") return write_log_as_packets(log, options);
     TerminalProgress progress(options.quiet);
     // With dataset.poses=none the user says that the poses of the log are wrong.
-    const bool has_poses = sequence.has_poses && config.dataset.poses != kNoPoses;
-    save_folder(sequence, options.out, {options.overwrite, has_poses, interruptible_progress(progress)});
+    const bool has_poses = log.has_poses && config.dataset.poses != kNoPoses;
+    save_folder(log, options.out, {options.overwrite, has_poses, interruptible_progress(progress)});
     end_progress();
     if (!options.quiet)
         print(fmt::format("wrote {}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out),
-                          sequence.frames.size(), sequence.lidars.size(),
-                          sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
+                          log.frames.size(), log.lidars.size(), log.lidars.size() == 1 ? "" : "s",
+                          log.boxes.size()));
 }
 
 constexpr const char* kConvertHelp =

@@ -50,14 +50,14 @@ void export_frames(const ExportOptions& options) {
     const std::vector<int> positions = select_frames(run, options.frames, options.quiet);
     const LockedFolder folder(options.out);
     const Scene scene = with_all_blocks(run.scene);
-    const glm::dvec3& offset = run.sequence.world_offset_m;
+    const glm::dvec3& offset = run.log.world_offset_m;
     install_handlers();
     TerminalProgress progress(options.quiet);
     for (std::size_t done = 0; done < positions.size(); ++done) {
         check_interrupt();
         progress.show_step("writing scenes", done, positions.size());
-        const Frame& frame = run.sequence.frames[std::size_t(positions[done])];
-        const Surfels surfels = freeze_scene(scene, pose_instances(scene, run.sequence, timing_of(frame)));
+        const Frame& frame = run.log.frames[std::size_t(positions[done])];
+        const Surfels surfels = freeze_scene(scene, pose_instances(scene, run.log, timing_of(frame)));
         write_surfels(folder.path() / fmt::format("{:06}.ply", frame.index), surfels,
                       {{"time_s", fmt::format("{}", frame.time_s)},
                        {"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
@@ -114,7 +114,7 @@ std::vector<int> map_frames(const ExportOptions& options, const Run& run,
         if (has_rays) continue;
         print_note(fmt::format("the map is without {}, whose rays are unknown", sensor.name));
         std::erase_if(positions, [&](int position) {
-            return run.sequence.frames[std::size_t(position)].lidar == sensor.lidar;
+            return run.log.frames[std::size_t(position)].lidar == sensor.lidar;
         });
     }
     if (positions.empty())
@@ -162,8 +162,8 @@ void export_map(const ExportOptions& options) {
                          kMaxSpacing_m);
     const OutputFolder folder(folder_of(out));
     Run run = load_run(options.run);
-    run.config = with_max_range(std::move(run.config), run.sequence);
-    const Log& log = run.sequence;
+    run.config = with_max_range(std::move(run.config), run.log);
+    const Log& log = run.log;
     const std::optional<MapProjector> earth_map = open_map(log, options.crs);
     std::vector<SimulatedSensor> sensor_of_lidar;
     for (std::size_t lidar = 0; lidar < log.lidars.size(); ++lidar)
@@ -205,7 +205,7 @@ const PoseTrack& path_of(const Log& log, const PoseTrack& sensor_path,
 
 /// Writes all surfels of a run as a PLY file, and returns a description of the content.
 std::string export_surfels(const std::filesystem::path& out, const Run& run) {
-    const glm::dvec3& offset = run.sequence.world_offset_m;
+    const glm::dvec3& offset = run.log.world_offset_m;
     write_surfels(out, with_all_blocks(run.scene),
                   {{"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
     return fmt::format("{} surfels, {} model{}", count_surfels(run.scene), run.scene.models.size(),
@@ -215,7 +215,7 @@ std::string export_surfels(const std::filesystem::path& out, const Run& run) {
 /// Writes the path of the sensor or of an actor as CSV, in the dataset's world, on a map
 /// or on the earth. Returns a description of the content.
 std::string export_path(const ExportOptions& options, const Run& run) {
-    const Log& log = run.sequence;
+    const Log& log = run.log;
     const PoseTrack sensor_path = log.lidar_track(0);
     PoseTrack path = shift_track(path_of(log, sensor_path, options.track), log.world_offset_m);
     if (const std::optional<MapProjector> map = open_map(log, options.crs))

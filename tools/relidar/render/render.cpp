@@ -81,7 +81,7 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
         format.vehicle_from_lidar = inverse(lidar_from_rig * options.vehicle->rig_from_base_link);
         format.base_link_height_m = options.base_link_height_m;
     }
-    const std::string& log_name = run.sequence.lidars[std::size_t(sensor.lidar)].name;
+    const std::string& log_name = run.log.lidars[std::size_t(sensor.lidar)].name;
     apply_names(format, rig_sensor_name.empty() ? log_name : rig_sensor_name, options.names);
     if (!options.trajectory.file.empty()) format.trajectory = absolute_path(options.trajectory.file);
     format.formats = parse_formats(options.formats);
@@ -148,7 +148,7 @@ std::vector<double> times_of(const std::vector<NumberedScanTime>& sweeps) {
 std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const RenderOptions& options, int lidar) {
     std::vector<NumberedScanTime> sweeps;
     for (const int position : select_frames(run, options.frames, options.quiet)) {
-        const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        const Frame& frame = run.log.frames[static_cast<std::size_t>(position)];
         if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
@@ -163,7 +163,7 @@ std::vector<NumberedScanTime> sweeps_on_path(const Run& run, const RenderOptions
                                              const PoseTrack& sensor_track, int lidar_index) {
     const std::vector<double> times_s =
         scan_times(options.trajectory, sensor_track,
-                   1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar_index)].sweep_period_s());
+                   1.0 / run.log.lidars[static_cast<std::size_t>(lidar_index)].sweep_period_s());
     note_leaves_log(run, sensor_track, times_s);
     std::vector<NumberedScanTime> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
@@ -304,7 +304,7 @@ public:
             RenderedScan& scan = scans.back();
             trace_ms_ += scan.trace_ms;
             n_rays_ += double(scan.image.range_m.size());
-            scan.unseen_sides = find_unseen_sides(scan, run_.scene, run_.sequence);
+            scan.unseen_sides = find_unseen_sides(scan, run_.scene, run_.log);
             for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
                 n_returns_ += is_ray_returned(scan.image.drop_prob[i], scan.image.range_m[i]);
             if (scan.unseen_share) {
@@ -371,10 +371,10 @@ void configure_renderer(ScanRenderer& renderer, const RenderOptions& options,
 void print_render_notes(const RenderOptions& options, const Run& run, const ScanRenderer& renderer,
                         const std::vector<RenderedSensor>& sensors, int lidar) {
     if (std::ranges::any_of(parse_formats(options.formats), is_recording))
-        note_time_shift(run.sequence, options.time_shift_ns);
+        note_time_shift(run.log, options.time_shift_ns);
     if (options.sample) note_missing_noise(run, lidar);
     const bool is_in_world = parse_frame(options.point_frame) == PointCoordinateFrame::world;
-    if (is_in_world && !options.map) note_local_las(run.sequence, parse_formats(options.formats));
+    if (is_in_world && !options.map) note_local_las(run.log, parse_formats(options.formats));
     note_weather(parse_weather(options.weather));
     for (const RenderedSensor& target : sensors) note_sensor(run, renderer, target.sensor);
 }
@@ -400,18 +400,17 @@ void run_render(const RenderOptions& command_options) {
 
     const bool has_user_path = !options.trajectory.file.empty();
     const PoseTrack user_path =
-        has_user_path
-            ? mount_track(read_trajectory(options.trajectory.file, run.sequence.georeference), offset)
-            : PoseTrack{};
-    const int lidar = find_lidar(run.sequence, options.lidar);
+        has_user_path ? mount_track(read_trajectory(options.trajectory.file, run.log.georeference), offset)
+                      : PoseTrack{};
+    const int lidar = find_lidar(run.log, options.lidar);
     const auto sweeps = has_user_path ? sweeps_on_path(run, options, user_path, lidar)
                                       : sweeps_of_frames(run, options, lidar);
     std::vector<RenderedSensor> sensors = list_sensors(options.sensor, rig, run, lidar);
     if (uses_log_vehicle) add_log_body(sensors, run, lidar, offset);
-    options.map = open_map(run.sequence, options.crs);
+    options.map = open_map(run.log, options.crs);
     options.time_shift_ns = largest_time_shift_ns(run, sensors, sweeps);
     if (options.vehicle) {
-        const PoseTrack log_path = shift_track(run.sequence.lidar_track(lidar), run.sequence.world_offset_m);
+        const PoseTrack log_path = shift_track(run.log.lidar_track(lidar), run.log.world_offset_m);
         const PoseTrack path = has_user_path ? user_path : mount_track(log_path, offset);
         options.base_link_height_m =
             median_height_m(run, path, options.vehicle->rig_from_base_link, times_of(sweeps));

@@ -30,7 +30,7 @@ void note_sensor(const Run& run, const ScanRenderer& renderer, const SimulatedSe
 
 void note_missing_noise(const Run& run, int lidar) {
     const auto index = std::size_t(lidar);
-    if (run.sequence.lidars[index].range_noise.sigma_m.empty())
+    if (run.log.lidars[index].range_noise.sigma_m.empty())
         print_warning(
             fmt::format("run {} has no model of the range noise, so --sample adds no noise to ranges",
                         run.folder.string()));

@@ -28,7 +28,7 @@ std::optional<SpinningSensor> spinning_sensor_of(const std::string& name, const 
 }
 
 std::vector<int> all_frames(const Run& run) {
-    std::vector<int> positions(run.sequence.frames.size());
+    std::vector<int> positions(run.log.frames.size());
     std::iota(positions.begin(), positions.end(), 0);
     return positions;
 }
@@ -39,12 +39,12 @@ std::vector<int> select_frames(const Run& run, const std::optional<std::string>&
     if (!frames_text && run.split.test.empty()) {
         if (!quiet)
             print_note(fmt::format("{} has no held-out frames, so all {} frames are rendered instead",
-                                   run.folder.string(), run.sequence.frames.size()));
+                                   run.folder.string(), run.log.frames.size()));
         return all_frames(run);
     }
     const std::string text = frames_text.value_or("test");
     const std::string name = find_name(text, {"test", "train", "all"}).value_or("");
-    const std::vector<Frame>& frames = run.sequence.frames;
+    const std::vector<Frame>& frames = run.log.frames;
     std::vector<int> positions;
     if (name == "test") positions = run.split.test;
     else if (name == "train") positions = run.split.train;
@@ -67,9 +67,9 @@ std::vector<int> select_frames(const Run& run, const std::optional<std::string>&
 
 std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRig& rig, const Run& run,
                                          int lidar) {
-    if (name.empty()) return {{.sensor = make_sensor(run.config, run.sequence, lidar)}};
+    if (name.empty()) return {{.sensor = make_sensor(run.config, run.log, lidar)}};
     if (!rig) {
-        const SimulatedSensor sensor = choose_sensor(name, run.config, run.sequence, lidar);
+        const SimulatedSensor sensor = choose_sensor(name, run.config, run.log, lidar);
         return {{.sensor = sensor, .spinning = spinning_sensor_of(name, sensor)}};
     }
     std::vector<RenderedSensor> sensors;

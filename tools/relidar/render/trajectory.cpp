@@ -131,7 +131,7 @@ std::optional<double> median_height_m(const Run& run, const PoseTrack& sensor_pa
     constexpr glm::dvec3 kVehicle_m{4.0, 2.0, 0.0};  // area in which the ground is searched
     std::vector<double> heights_m;
     for (const std::optional<double>& height_m :
-         heights_above_ground({run.scene, run.sequence}, point_path, kVehicle_m))
+         heights_above_ground({run.scene, run.log}, point_path, kVehicle_m))
         if (height_m) heights_m.push_back(*height_m);
     if (heights_m.empty()) return {};
     const auto middle = heights_m.begin() + std::ptrdiff_t(heights_m.size() / 2);
@@ -140,7 +140,7 @@ std::optional<double> median_height_m(const Run& run, const PoseTrack& sensor_pa
 }
 
 void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::vector<double>& times_s) {
-    const Log& log = run.sequence;
+    const Log& log = run.log;
     const double distance_m = max_distance_m(log, sensor_track, times_s);
     if (distance_m > kMaxPathDistance_m)
         print_warning(fmt::format(

@@ -69,8 +69,7 @@ Evaluation score_held_out(Device& device, Run run, bool use_drop_network, bool q
     run.config.refine.enabled = use_drop_network;
     ScanRenderer renderer(device, run);
     TerminalProgress progress(quiet);
-    return evaluate_frames(renderer, run.config, run.sequence, run.split.test,
-                           interruptible_progress(progress));
+    return evaluate_frames(renderer, run.config, run.log, run.split.test, interruptible_progress(progress));
 }
 
 /// Scores the run without and with the ray-drop network and prints both. Writes the
@@ -97,7 +96,7 @@ Config refine_config(const Run& run, const std::optional<Checkpoint>& start,
     if (start) read_drop_settings(*start, config);
     apply_settings(config, sets);
     config.refine.enabled = true;
-    return with_max_range(std::move(config), run.sequence);
+    return with_max_range(std::move(config), run.log);
 }
 
 /// Trains the ray-drop network of an existing run again, and scores the result.

@@ -166,11 +166,11 @@ std::optional<Checkpoint> load_checkpoint(const TrainOptions& options) {
     return std::nullopt;
 }
 
-void print_start(const Log& sequence, const Split& split, const Device& device, const Checkpoint* resumed) {
-    print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name,
-                      sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
+void print_start(const Log& log, const Split& split, const Device& device, const Checkpoint* resumed) {
+    print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", log.name,
+                      log.frames.size(), split.train.size(), split.test.size(), device.info().name,
                       device.backend() == RayTracingBackend::software ? "software traversal" : "ray query"));
-    for (const std::string& note : sequence.notes) print("note    " + note + "\n");
+    for (const std::string& note : log.notes) print("note    " + note + "\n");
     if (resumed) print(fmt::format("resume  training continues from iteration {}\n", resumed->iteration));
     std::fflush(stdout);
 }
@@ -181,7 +181,7 @@ TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& 
                             const Checkpoint* checkpoint_to_resume, StageTimes& stage_times) {
     const fs::path checkpoints = checkpoint_folder(run.folder);
     try {
-        return train_scene(device, run.sequence, run.split, run.config, run.folder, options.quiet,
+        return train_scene(device, run.log, run.split, run.config, run.folder, options.quiet,
                            {.checkpoints = checkpoints,
                             .start = checkpoint_to_resume,
                             .stop = {},
@@ -220,7 +220,7 @@ Evaluation score_run(Device& device, const Run& run, const TrainOptions& options
     TerminalProgress progress(options.quiet);
     const auto start = Clock::now();
     Evaluation evaluation =
-        evaluate_frames(renderer, run.config, run.sequence, run.split.test, interruptible_progress(progress));
+        evaluate_frames(renderer, run.config, run.log, run.split.test, interruptible_progress(progress));
     write_text_file(run.folder / "metrics.json",
                     metrics_json(evaluation, run.config, describe_source(run, device, seconds_since(start))));
     return evaluation;
@@ -344,7 +344,7 @@ void finish_run(const TrainOptions& options, const Config& config, const std::st
     copy_scans(run, run.split.train, log);
     copy_scans(run, run.split.test, log);
     if (!options.quiet) {
-        print_start(run.sequence, run.split, device, nullptr);
+        print_start(run.log, run.split, device, nullptr);
         print("resume  all iterations are done; continuing with the steps after them\n");
     }
     install_handlers();
@@ -393,19 +393,19 @@ void train_run(const TrainOptions& options, Config config, const MpiProcessGroup
     // Reads and prepares the log.
     StageTimes stages;
     stages.start_stage("read");
-    Log sequence = load_dataset(config, options.quiet);
-    config = with_max_range(std::move(config), sequence);
-    const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
-    if (!options.quiet) print_start(sequence, split, device, start ? &*start : nullptr);
+    Log log = load_dataset(config, options.quiet);
+    config = with_max_range(std::move(config), log);
+    const Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
+    if (!options.quiet) print_start(log, split, device, start ? &*start : nullptr);
     install_handlers();
-    prepare_log(sequence, split, config, options.quiet, ranks.group(), &stages);
-    if (start) check_resume(*start, sequence, split, config);
+    prepare_log(log, split, config, options.quiet, ranks.group(), &stages);
+    if (start) check_resume(*start, log, split, config);
     if (folder) prepare_run_folder(folder->path(), config, resume && in_blocks, start.has_value());
     // The other processes must not write blocks before the folder is prepared.
     ranks.barrier();
 
     // Trains the scene.
-    Run run{options.out, config, std::move(sequence), split, {}, {}};
+    Run run{options.out, config, std::move(log), split, {}, {}};
     if (in_blocks) stages.start_stage("train");
     TrainResult result =
         in_blocks ? train_blocks(device, run,

@@ -49,8 +49,8 @@ void check_block_frames(const Run& trained_block, const BlockTrainingLog& curren
     const auto is_same = [](const Frame& first, const Frame& second) {
         return first.index == second.index && first.lidar == second.lidar;
     };
-    const std::vector<Frame>& before = trained_block.sequence.frames;
-    const std::vector<Frame>& now = current_block_log.sequence.frames;
+    const std::vector<Frame>& before = trained_block.log.frames;
+    const std::vector<Frame>& now = current_block_log.log.frames;
     if (trained_block.split.train != current_block_log.split.train ||
         !std::ranges::equal(before, now, is_same))
         fail(
@@ -114,7 +114,7 @@ public:
         : device_(device),
           run_(run),
           how_(training),
-          blocks_(plan_blocks(run.sequence, run.split, run.config.blocks)) {}
+          blocks_(plan_blocks(run.log, run.split, run.config.blocks)) {}
 
     /// Trains all blocks that are not trained yet. The first MPI process then joins their
     /// surfels and poses into one run.
@@ -154,7 +154,7 @@ private:
         fs::create_directories(block_folder, failed);
         const std::unique_ptr<FolderLock> lock = FolderLock::try_lock_folder(block_folder);
         if (!lock) return false;
-        BlockTrainingLog log = cut_log(run_.sequence, run_.split, blocks_[block_index], run_.config);
+        BlockTrainingLog log = cut_log(run_.log, run_.split, blocks_[block_index], run_.config);
         if (fs::is_regular_file(block_folder / "scene.json", failed)) {
             const Run trained = load_run(block_folder);
             check_block_frames(trained, log);
@@ -211,9 +211,9 @@ private:
 
     void save_block(std::size_t index, BlockTrainingLog block_log, const fs::path& folder,
                     TrainResult& result) const {
-        Run part{folder, block_log.config, std::move(block_log.sequence), block_log.split, {}, {}};
+        Run part{folder, block_log.config, std::move(block_log.log), block_log.split, {}, {}};
         move_result(part, result);
-        keep_block_surfels(part.scene, run_.sequence, blocks_, index);
+        keep_block_surfels(part.scene, run_.log, blocks_, index);
         save_run(part);
         remove_checkpoints(checkpoint_folder(folder));
     }
@@ -222,7 +222,7 @@ private:
         const fs::path checkpoints = checkpoint_folder(block_folder);
         const std::optional<Checkpoint> start = load_newest(checkpoints, print_warning);
         const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
-        TrainResult result = train_scene(device_, block_log.sequence, block_log.split, block_log.config,
+        TrainResult result = train_scene(device_, block_log.log, block_log.split, block_log.config,
                                          block_folder, how_.quiet, session);
         if (!result.interrupted) return result;
         throw Error(ExitCode::interrupted, fmt::format("interrupted after iteration {} of {}",

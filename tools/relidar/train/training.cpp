@@ -105,12 +105,12 @@ void prepare_log(Log& log, const Split& split, const Config& config, bool quiet,
                 {report_line, is_interrupted, progress_callback(progress), stage_times, process_group});
 }
 
-TrainResult train_scene(Device& device, const Log& sequence, const Split& split, const Config& config,
+TrainResult train_scene(Device& device, const Log& log, const Split& split, const Config& config,
                         const fs::path& folder, bool quiet, TrainSession session) {
     // The arrays of the training need memory that earlier steps have freed.
     release_freed_memory();
-    LogFile log(folder / "log.jsonl",
-                session.start ? read_training_log(*session.start, config) : std::vector<TrainProgress>{});
+    LogFile lines(folder / "log.jsonl",
+                  session.start ? read_training_log(*session.start, config) : std::vector<TrainProgress>{});
     TerminalProgress progress(quiet);
     session.progress = [show = progress_callback(progress)](std::string_view description, double done) {
         if (is_interrupted())
@@ -120,17 +120,17 @@ TrainResult train_scene(Device& device, const Log& sequence, const Split& split,
     session.stop = is_interrupted;
     session.note = print_warning;
     const TrainResult result = train(
-        device, sequence, split, config,
+        device, log, split, config,
         [&](const TrainProgress& line) {
             if (!line.densified.note.empty()) print_note(line.densified.note);
             const bool is_last = line.iteration == line.n_iterations;
             progress.show_text(progress_line(line), is_last);
-            log.append(line);
+            lines.append(line);
             return true;  // continues the training
         },
         session);
     // Writes the log again if a line could not be written.
-    log.repair(result.log);
+    lines.repair(result.log);
     return result;
 }
 

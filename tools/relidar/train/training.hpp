@@ -18,7 +18,7 @@ void prepare_log(Log& log, const Split& split, const Config& config, bool quiet,
 /// Trains a scene. Each progress report is also a JSON line in log.jsonl, after the lines
 /// before the checkpoint.
 /// @param session this function sets its members `stop` and `note`
-TrainResult train_scene(Device& device, const Log& sequence, const Split& split, const Config& config,
+TrainResult train_scene(Device& device, const Log& log, const Split& split, const Config& config,
                         const std::filesystem::path& folder, bool quiet, TrainSession session = {});
 
 /// Runs the steps between the training of a scene and of its ray-drop network: aligns the

@@ -305,10 +305,10 @@ SweepPairs read_sweeps(const std::vector<read::StampedScanFile>& files, const st
 }
 
 /// Adds a frame with a scan for each sweep and LiDAR, unless the LiDAR has no points.
-void add_sweeps(Log& sequence, const std::vector<read::StampedScanFile>& sweep_files,
+void add_sweeps(Log& log, const std::vector<read::StampedScanFile>& sweep_files,
                 const PoseTrack& vehicle_poses, SweepPairs sweep_pairs, const Progress& progress,
                 const ScanErrorCollector& broken_scans) {
-    broken_scans.report_broken(sequence, sweep_files.size());
+    broken_scans.report_broken(log, sweep_files.size());
     std::vector<read::FiredSweep> sweeps;
     std::size_t n_missing = 0;
     for (std::size_t i = 0; i < sweep_files.size(); ++i) {
@@ -318,17 +318,16 @@ void add_sweeps(Log& sequence, const std::vector<read::StampedScanFile>& sweep_f
                 ++n_missing;
                 continue;
             }
-            add_frame(sequence, sweep_files[i].number, vehicle_poses.time_s[i], vehicle_poses.pose[i],
-                      int(l));
+            add_frame(log, sweep_files[i].number, vehicle_poses.time_s[i], vehicle_poses.pose[i], int(l));
             sweeps.push_back(std::move(sweep_pairs[i][l]));
         }
     }
-    read::set_fired_scans(sequence, sweeps, progress);
-    for (const Lidar& lidar : sequence.lidars)
+    read::set_fired_scans(log, sweeps, progress);
+    for (const Lidar& lidar : log.lidars)
         if (lidar.sensor.columns == 0)  // no firing in any sweep
-            fail("{} has no points of the LiDAR {}, expected at least one", sequence.source, lidar.name);
+            fail("{} has no points of the LiDAR {}, expected at least one", log.source, lidar.name);
     if (n_missing > 0)
-        sequence.notes.push_back(fmt::format(
+        log.notes.push_back(fmt::format(
             "{} frames are skipped, because their sweep has no points of one of the LiDARs", n_missing));
 }
 
@@ -372,25 +371,25 @@ Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
     // Time 0 is the first sweep of the full log, not of the loaded range.
     const PoseTrack vehicle_track =
         read_sweep_poses(folder / "city_SE3_egovehicle.feather", sweeps, all[0].stamp);
-    Log sequence;
-    sequence.name = "Argoverse 2 " + folder.filename().string();
-    sequence.source = log_folder.string();
-    sequence.conventions =
+    Log log;
+    log.name = "Argoverse 2 " + folder.filename().string();
+    log.source = log_folder.string();
+    log.conventions =
         "Vehicle frame: x forward, y left, z up, in metres, with the origin at the rear axle. Times are "
         "seconds after the first sweep, from the file names. The world frame is that of the city. The motion "
         "compensation of the points is removed. Boxes are labelled in all directions.";
-    set_log_start(sequence, all[0].stamp, "on the clock of the file names");
-    sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
-    for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
+    set_log_start(log, all[0].stamp, "on the clock of the file names");
+    log.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
+    for (Lidar& lidar : log.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (does_path_exist(folder / "annotations.feather"))
-        sequence.boxes = read_sweep_boxes(folder / "annotations.feather", sweeps, vehicle_track);
-    else sequence.notes.push_back("annotations.feather is missing, so this log has no labels");
+        log.boxes = read_sweep_boxes(folder / "annotations.feather", sweeps, vehicle_track);
+    else log.notes.push_back("annotations.feather is missing, so this log has no labels");
     ScanErrorCollector broken(options.skip_broken);
-    SweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
-    add_sweeps(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
-    kitti::replace_poses(sequence, options.poses_file);
-    centre_log(sequence);
-    return sequence;
+    SweepPairs read = read_sweeps(sweeps, log.lidars, vehicle_track, options.progress, broken);
+    add_sweeps(log, sweeps, vehicle_track, std::move(read), options.progress, broken);
+    kitti::replace_poses(log, options.poses_file);
+    centre_log(log);
+    return log;
 }
 
 }  // namespace relidar

@@ -70,7 +70,7 @@ glm::dquat compose_angles(double roll_rad, double pitch_rad, double yaw_rad, boo
 }
 
 /// Returns the LiDAR poses in the East-North-Up frame, with one meaning of the angles.
-PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const read::StampedLog& log,
+PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const read::StampedLog& stamped,
                            const EulerAngleConvention& angle_convention) {
     const double sign = angle_convention.sign;
     PoseTrack track;
@@ -81,7 +81,7 @@ PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const re
                      yaw_rad = sign * v[kFirstAngle + 2];
         const glm::dquat enu_from_lidar =
             compose_angles(roll_rad, pitch_rad, yaw_rad, angle_convention.yaw_first);
-        track.append(log.seconds_of(row.stamp), {enu_from_lidar, position_m});
+        track.append(stamped.seconds_of(row.stamp), {enu_from_lidar, position_m});
     }
     return track;
 }
@@ -111,12 +111,12 @@ bool is_clearly_better(const AngleReading& reading, const AngleReading& best) {
 
 /// Reads the LiDAR poses. Uses another meaning of the angles than the documented one only
 /// if the vehicle then drives clearly better in the direction `forward` (LiDAR frame).
-PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& log,
+PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& stamped,
                             const std::optional<glm::dvec3>& forward, Notes& notes) {
     const std::vector<read::PoseRow> rows = read::read_stamped_rows(file, kPoseNumbers);
     std::optional<AngleReading> best;
     for (const EulerAngleConvention& order : kAngleOrders) {  // the documented one first
-        AngleReading reading{.order = &order, .track = make_lidar_track(rows, log, order)};
+        AngleReading reading{.order = &order, .track = make_lidar_track(rows, stamped, order)};
         reading.driving = read::driving_direction(reading.track);
         reading.forward_score = score_motion(reading.driving, forward);
         if (!best || is_clearly_better(reading, *best)) best = std::move(reading);
@@ -137,44 +137,44 @@ PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& log,
 Log load_boreas(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
     const fs::path folder = fs::canonical(log_folder);
-    Log sequence;
+    Log log;
     const std::string name = folder.filename().string();
-    sequence.name = name.starts_with("boreas") ? name : "Boreas " + name;
-    sequence.source = log_folder.string();
-    sequence.notes = {"this log has no labels"};
-    read::StampedLog log{.unit_s = kMicrosecond,
-                         .scans = read::list_stamped_files(folder / "lidar"),
-                         .world_from_vehicle = {},
-                         .poses_file = folder / "applanix/lidar_poses.csv",
-                         .most_gap_s = kMostGap_s};
-    read::check_pose_source(log.poses_file, options);
+    log.name = name.starts_with("boreas") ? name : "Boreas " + name;
+    log.source = log_folder.string();
+    log.notes = {"this log has no labels"};
+    read::StampedLog stamped{.unit_s = kMicrosecond,
+                             .scans = read::list_stamped_files(folder / "lidar"),
+                             .world_from_vehicle = {},
+                             .poses_file = folder / "applanix/lidar_poses.csv",
+                             .most_gap_s = kMostGap_s};
+    read::check_pose_source(stamped.poses_file, options);
     std::optional<glm::dvec3> forward = read_forward(folder / "calib/T_applanix_lidar.txt");
-    if (does_path_exist(log.poses_file)) {
-        log.world_from_vehicle = read_boreas_poses(log.poses_file, log, forward, sequence.notes);
-        const glm::dvec3 driven = read::driving_direction(log.world_from_vehicle).mean;
+    if (does_path_exist(stamped.poses_file)) {
+        stamped.world_from_vehicle = read_boreas_poses(stamped.poses_file, stamped, forward, log.notes);
+        const glm::dvec3 driven = read::driving_direction(stamped.world_from_vehicle).mean;
         if (!forward && driven != glm::dvec3(0.0)) forward = driven;
     }
     if (!forward)
-        sequence.notes.push_back(
+        log.notes.push_back(
             "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
     // Rotates the sensor frame of all poses so that its x axis points forward.
     const double forward_rad = forward ? std::atan2(forward->y, forward->x) : 0.0;
     const Pose lidar_from_turned{make_rotation(forward_rad, 0.0, 0.0), {}};
-    for (Pose& pose : log.world_from_vehicle.pose) pose = pose * lidar_from_turned;
-    sequence.conventions = fmt::format(
+    for (Pose& pose : stamped.world_from_vehicle.pose) pose = pose * lidar_from_turned;
+    log.conventions = fmt::format(
         "LiDAR frame: x forward, y left, z up, in metres (rotated about z by {:.2f} degrees relative to "
         "Boreas). Times are seconds after the first scan. The time of a frame is the middle of its sweep. "
         "Points are not motion-compensated. World frame: x east, y north, z up.",
         -forward_rad * 180.0 / kPi);
-    sequence.lidars[0].sensor.name = "VLS-128 fitted to " + sequence.name;
-    sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = read::add_frames(sequence, log, options);
+    log.lidars[0].sensor.name = "VLS-128 fitted to " + log.name;
+    log.lidars[0].sensor.max_range_m = options.max_range_m;
+    const std::vector<fs::path> files = read::add_frames(log, stamped, options);
     read::FileFormat format;
     format.units.columns = {"x", "y", "z", "intensity", "ring", "time"};
     format.units.intensity_max = kMaxIntensity;
     format.turned_rad = -forward_rad;
-    read::read_frame_scans(sequence, files, format, options);
-    return sequence;
+    read::read_frame_scans(log, files, format, options);
+    return log;
 }
 
 }  // namespace relidar

@@ -12,7 +12,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
-#include "log/sequence/match_sweeps.hpp"
+#include "log/frames/match_sweeps.hpp"
 #include "read/files/point_table.hpp"
 #include "read/kitti/log_files.hpp"
 #include "read/scans/folder_head.hpp"
@@ -302,7 +302,7 @@ Pose read_label_pose(const JsonField& label) {
         return {glm::angleAxis(label.at("yaw_deg").number_in(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)),
                 position};
     const auto q = label.at("quaternion").numbers<4>();
-    // check_sequence() checks the length of the quaternion later, for all datasets.
+    // check_log() checks the length of the quaternion later, for all datasets.
     return {glm::dquat(q[0], q[1], q[2], q[3]), position};
 }
 

@@ -23,7 +23,7 @@ using read::LogFrame;
 /// Returns the frames in the requested range whose scan file exists.
 /// @throws DataError if a scan file is missing and missing scans are not allowed
 /// @throws UsageError if the range contains no scan file
-std::vector<LogFrame> select_frames(const read::SequenceHeader& header, const DatasetOptions& options,
+std::vector<LogFrame> select_frames(const read::FolderHead& header, const DatasetOptions& options,
                                     Notes& notes) {
     std::vector<LogFrame> frames;
     std::size_t n_missing = 0;
@@ -47,8 +47,8 @@ std::vector<LogFrame> select_frames(const read::SequenceHeader& header, const Da
 }
 
 /// Returns the points of a scan that is stored as a range image, in the sensor frame.
-std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header,
-                                         const read::PointFileUnits& units, const LogFrame& frame) {
+std::vector<glm::vec3> read_image_points(const read::FolderHead& header, const read::PointFileUnits& units,
+                                         const LogFrame& frame) {
     const read::HeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
     const Scan scan = read::read_scan_image(frame.scan, {.units = units,
                                                          .motion_compensated = header.motion_compensated,
@@ -62,7 +62,7 @@ std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header,
 }
 
 /// Returns the points of a scan in the vehicle frame.
-std::vector<glm::vec3> read_vehicle_points(const read::SequenceHeader& header, const LogFrame& frame) {
+std::vector<glm::vec3> read_vehicle_points(const read::FolderHead& header, const LogFrame& frame) {
     read::PointFileUnits units = header.units;
     units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
     std::vector<glm::vec3> points;
@@ -79,7 +79,7 @@ std::vector<glm::vec3> read_vehicle_points(const read::SequenceHeader& header, c
 
 /// Reads a few pairs of consecutive scans of the first LiDAR, evenly spread over the log.
 /// With correct poses, the scans of a pair overlap.
-read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::vector<LogFrame>& frames) {
+read::ScanPairs read_scan_pairs(const read::FolderHead& header, const std::vector<LogFrame>& frames) {
     constexpr std::size_t kMaxPairs = 4;  // enough for a decision, and fast to read
     std::vector<const LogFrame*> scans;   // of the first LiDAR
     for (const LogFrame& frame : frames)
@@ -98,7 +98,7 @@ read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::v
 /// Returns the vehicle pose of each frame from poses.txt. If this file is missing or
 /// damaged and the user selected other poses (dataset.poses), returns identity poses,
 /// which the other poses replace later.
-std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::SequenceHeader& header,
+std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::FolderHead& header,
                                      const std::vector<LogFrame>& frames, const DatasetOptions& options,
                                      Notes& notes) {
     const fs::path file = folder / read::kPosesFile;
@@ -129,33 +129,33 @@ std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::Sequenc
 Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a folder with sequence.json");
     const fs::path folder = fs::canonical(log_folder);
-    const read::SequenceHeader head = read::read_header(folder, options.max_range_m);
-    Log sequence;
-    sequence.name = head.name;
-    sequence.source = log_folder.string();
-    sequence.conventions = head.conventions;
-    sequence.start_unix_ns = head.start_unix_ns;
-    sequence.notes = head.notes;
-    sequence.lidars.clear();
-    for (const read::HeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
-    const std::vector<LogFrame> frames = select_frames(head, options, sequence.notes);
-    const std::vector<Pose> poses = read_vehicle_poses(folder, head, frames, options, sequence.notes);
+    const read::FolderHead head = read::read_header(folder, options.max_range_m);
+    Log log;
+    log.name = head.name;
+    log.source = log_folder.string();
+    log.conventions = head.conventions;
+    log.start_unix_ns = head.start_unix_ns;
+    log.notes = head.notes;
+    log.lidars.clear();
+    for (const read::HeaderLidar& lidar : head.lidars) log.lidars.push_back(lidar.lidar);
+    const std::vector<LogFrame> frames = select_frames(head, options, log.notes);
+    const std::vector<Pose> poses = read_vehicle_poses(folder, head, frames, options, log.notes);
     std::vector<fs::path> files;
     for (std::size_t i = 0; i < frames.size(); ++i) {
-        add_frame(sequence, frames[i].number, frames[i].time_s, poses[i], frames[i].lidar);
+        add_frame(log, frames[i].number, frames[i].time_s, poses[i], frames[i].lidar);
         files.push_back(frames[i].scan);
     }
-    sequence.boxes = read::read_box_tracks(folder / read::kBoxesFile, frames, head.frames);
-    kitti::replace_poses(sequence, options.poses_file, [&] { return read_scan_pairs(head, frames); });
-    if (options.poses_file.empty()) sequence.georeference = head.georeference;
+    log.boxes = read::read_box_tracks(folder / read::kBoxesFile, frames, head.frames);
+    kitti::replace_poses(log, options.poses_file, [&] { return read_scan_pairs(head, frames); });
+    if (options.poses_file.empty()) log.georeference = head.georeference;
     // A saved log gets the same origin as before, unless its poses are replaced.
-    if (head.world_offset_m && options.poses_file.empty()) centre_log(sequence, *head.world_offset_m);
-    else centre_log(sequence);
+    if (head.world_offset_m && options.poses_file.empty()) centre_log(log, *head.world_offset_m);
+    else centre_log(log);
     const read::ScanLayout layout{.lidars = {head.lidars.begin(), head.lidars.end()},
                                   .motion_compensated = head.motion_compensated,
                                   .is_described = true};
-    read::read_scan_files(sequence, layout, head.units, files, options);
-    return sequence;
+    read::read_scan_files(log, layout, head.units, files, options);
+    return log;
 }
 
 }  // namespace relidar

@@ -15,7 +15,7 @@
 #include "base/files.hpp"
 #include "base/number_text.hpp"
 #include "base/progress_blocks.hpp"
-#include "log/sequence/georeference_json.hpp"
+#include "log/georeference/georeference_json.hpp"
 #include "read/files/scan_npz.hpp"
 #include "read/scans/folder_head.hpp"
 
@@ -46,42 +46,41 @@ Json make_json(const Lidar& lidar, std::size_t lidar_index) {
                                  : Json::parse(format_sensor_json(sensor_of(lidar)))}};
 }
 
-std::string scan_file_name(const Log& sequence, const Frame& frame) {
-    if (sequence.lidars.size() == 1) return fmt::format("scans/{:06}.npz", frame.index);
+std::string scan_file_name(const Log& log, const Frame& frame) {
+    if (log.lidars.size() == 1) return fmt::format("scans/{:06}.npz", frame.index);
     return fmt::format("scans/{:06}_{}.npz", frame.index, frame.lidar);
 }
 
 /// Returns the text of sequence.json: LiDARs, frames and conventions of the log. Omits
 /// notes with an id, because loading the folder finds these faults again.
-std::string sequence_json(const Log& sequence) {
-    Notes notes = sequence.notes;
+std::string sequence_json(const Log& log) {
+    Notes notes = log.notes;
     std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
     Json json = {{"format", read::kLogFormat},
                  {"version", read::kLogVersion},
                  {"relidar", RELIDAR_VERSION},
-                 {"name", sequence.name},
-                 {"conventions", sequence.conventions},
-                 {"start_unix_ns", sequence.start_unix_ns},
+                 {"name", log.name},
+                 {"conventions", log.conventions},
+                 {"start_unix_ns", log.start_unix_ns},
                  {"notes", notes},
-                 {"motion_compensated", !sequence.rolling_shutter},
-                 {"world_offset_m", make_json(sequence.world_offset_m)},
+                 {"motion_compensated", !log.rolling_shutter},
+                 {"world_offset_m", make_json(log.world_offset_m)},
                  {"lidars", Json::array()},
                  {"frames", Json::array()}};
-    if (sequence.georeference) json["georeference"] = georeference_json(*sequence.georeference);
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
-        json["lidars"].push_back(make_json(sequence.lidars[l], l));
-    for (const Frame& frame : sequence.frames)
+    if (log.georeference) json["georeference"] = georeference_json(*log.georeference);
+    for (std::size_t l = 0; l < log.lidars.size(); ++l) json["lidars"].push_back(make_json(log.lidars[l], l));
+    for (const Frame& frame : log.frames)
         json["frames"].push_back({{"number", frame.index},
                                   {"time_s", frame.time_s},
-                                  {"lidar", sequence.lidar_of(frame).name},
-                                  {"scan", scan_file_name(sequence, frame)}});
+                                  {"lidar", log.lidar_of(frame).name},
+                                  {"scan", scan_file_name(log, frame)}});
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
 /// Returns the text of poses.txt: a line per pose in the world of the dataset. Writes all
 /// digits of a double, so that loading gives equal poses.
-std::string poses_text(const Log& sequence) {
-    const PoseTrack track = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
+std::string poses_text(const Log& log) {
+    const PoseTrack track = shift_track(log.world_from_vehicle, log.world_offset_m);
     std::string text = "# time_s x y z qw qx qy qz\n";
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const glm::dquat& q = track.pose[i].rotation;
@@ -94,10 +93,10 @@ std::string poses_text(const Log& sequence) {
 }
 
 /// Returns the text of boxes.json: an entry per box and time, in the dataset's world.
-std::string boxes_json(const Log& sequence) {
+std::string boxes_json(const Log& log) {
     Json json = {{"boxes", Json::array()}};
-    for (const BoxTrack& box : sequence.boxes) {
-        const PoseTrack track = shift_track(box.world_from_box, sequence.world_offset_m);
+    for (const BoxTrack& box : log.boxes) {
+        const PoseTrack track = shift_track(box.world_from_box, log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             json["boxes"].push_back({{"track", box.id},
                                      {"category", box.category},

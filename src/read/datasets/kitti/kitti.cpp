@@ -32,7 +32,7 @@ std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& n
     return time_s;
 }
 
-/// Returns the file with the camera poses of an odometry sequence: poses.txt in its
+/// Returns the file with the camera poses of an odometry log: poses.txt in its
 /// folder (SemanticKITTI), or ../../poses/NN.txt (KITTI).
 /// @throws DataError without both; sequences 11 to 21 have no published poses
 fs::path find_pose_file(const fs::path& sequence_folder) {
@@ -68,32 +68,32 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
         fail("{} is a drive of KITTI-360; use {} with dataset.sequence={}", folder.string(),
              drive.parent_path().parent_path().string(), drive.filename().string());
     const std::vector<int> frames = list_scans(points / "data", options.frames.begin, options.frames.end);
-    Log sequence;  // with one LiDAR
-    sequence.name = drive.filename().string();
-    sequence.source = folder.string();
-    sequence.conventions = fmt::format(
+    Log log;  // with one LiDAR
+    log.name = drive.filename().string();
+    log.source = folder.string();
+    log.conventions = fmt::format(
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of the "
         "log. At the time of a frame, the head faces forward. The log has poses from {}. Scans are not "
         "motion-compensated. Boxes are labelled only in the view of the front camera.",
         options.poses_file.empty() ? "OXTS (Mercator)" : options.poses_file.string());
-    note_missing_scans(sequence, points / "data", frames, options.allow_missing_scans);
+    note_missing_scans(log, points / "data", frames, options.allow_missing_scans);
     if (!does_path_exist(drive / "tracklet_labels.xml"))
-        sequence.notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");
-    sequence.lidars[0].sensor.period_s = read_sweep_s(drive);
-    const std::vector<double> time_s = read_frame_times(points / "timestamps.txt", frames, sequence);
+        log.notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");
+    log.lidars[0].sensor.period_s = read_sweep_s(drive);
+    const std::vector<double> time_s = read_frame_times(points / "timestamps.txt", frames, log);
     std::vector<Pose> poses(frames.size());
     if (options.poses_file.empty()) poses = read_oxts_poses(drive, frames);
-    for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
+    for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
     // Tracklets are relative to the vehicle, so they are read when its poses are final.
-    replace_poses(sequence, options.poses_file);
-    centre_log(sequence);
-    if (options.poses_file.empty()) sequence.georeference = read_oxts_place(drive);
-    sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
-    read_hdl64_sweeps(sequence, points / "data", kRawDigits, options);
-    return sequence;
+    replace_poses(log, options.poses_file);
+    centre_log(log);
+    if (options.poses_file.empty()) log.georeference = read_oxts_place(drive);
+    log.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, log.world_from_vehicle);
+    read_hdl64_sweeps(log, points / "data", kRawDigits, options);
+    return log;
 }
 
-/// Loads a sequence of KITTI odometry: times, poses of the camera, and scans, which are
+/// Loads a log of KITTI odometry: times, poses of the camera, and scans, which are
 /// motion-compensated. Labels of points exist if it is from SemanticKITTI.
 Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
@@ -102,19 +102,19 @@ Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
     const std::vector<double> time_s = read_times_s(folder / "times.txt", frames);
     std::vector<Pose> poses(frames.size());
     if (options.poses_file.empty()) poses = read_odometry_poses(folder, frames);
-    Log sequence;
-    sequence.name = "KITTI odometry " + folder.filename().string();
-    sequence.source = log_folder.string();
-    sequence.conventions =
+    Log log;
+    log.name = "KITTI odometry " + folder.filename().string();
+    log.source = log_folder.string();
+    log.conventions =
         "Sensor frame: x forward, y left, z up, in metres. Times are the seconds in times.txt. The world "
         "frame is the LiDAR frame of frame 0. Scans are motion-compensated. The dataset has no boxes.";
-    sequence.notes = {"this log has no labels"};
-    sequence.rolling_shutter = false;
-    for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
-    replace_poses(sequence, options.poses_file);
-    centre_log(sequence);
-    read_hdl64_sweeps(sequence, folder / "velodyne", kOdometryDigits, options, folder / "labels");
-    return sequence;
+    log.notes = {"this log has no labels"};
+    log.rolling_shutter = false;
+    for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
+    replace_poses(log, options.poses_file);
+    centre_log(log);
+    read_hdl64_sweeps(log, folder / "velodyne", kOdometryDigits, options, folder / "labels");
+    return log;
 }
 
 }  // namespace relidar

@@ -233,24 +233,24 @@ std::optional<Pose> pose_of_frame(const std::map<int, Pose>& poses_by_frame, int
 }
 
 /// Adds all frames with a pose to the log. Notes name interpolated and missing poses.
-void add_posed_frames(Log& sequence, const std::vector<int>& numbers, const std::vector<double>& times_s,
+void add_posed_frames(Log& log, const std::vector<int>& numbers, const std::vector<double>& times_s,
                       const std::map<int, Pose>& poses_by_frame) {
     std::vector<int> interpolated, without_pose;
     for (std::size_t i = 0; i < numbers.size(); ++i) {
         const std::optional<Pose> pose = pose_of_frame(poses_by_frame, numbers[i]);
-        if (pose) add_frame(sequence, numbers[i], times_s[i], *pose);
+        if (pose) add_frame(log, numbers[i], times_s[i], *pose);
         if (!pose) without_pose.push_back(numbers[i]);
         else if (!poses_by_frame.contains(numbers[i])) interpolated.push_back(numbers[i]);
     }
-    if (sequence.frames.empty())
-        fail("{}: none of the frames {} to {} has a pose, expected frames between {} and {}", sequence.name,
+    if (log.frames.empty())
+        fail("{}: none of the frames {} to {} has a pose, expected frames between {} and {}", log.name,
              numbers.front(), numbers.back(), poses_by_frame.begin()->first, poses_by_frame.rbegin()->first);
     if (!interpolated.empty())
-        sequence.notes.push_back(fmt::format(
+        log.notes.push_back(fmt::format(
             "poses of these frames are interpolated, because data_poses does not contain them: {}",
             list_text(interpolated)));
     if (!without_pose.empty())
-        sequence.notes.push_back(
+        log.notes.push_back(
             fmt::format("frames that are skipped, because they have no pose: {}", list_text(without_pose)));
 }
 
@@ -266,21 +266,21 @@ fs::path find_box_file(const fs::path& dataset_folder, const std::string& drive_
 
 /// Adds the frames, poses and boxes of a drive. Boxes are in the world of the dataset, so
 /// they are omitted if the user gives poses and the dataset has none.
-void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const DriveFrames& chosen,
+void add_kitti_360_frames(Log& log, const fs::path& dataset_folder, const DriveFrames& chosen,
                           const std::vector<int>& numbers, const fs::path& user_pose_file) {
     const std::vector<double> time_s = read_frame_times(
-        dataset_folder / "data_3d_raw" / chosen.drive / "velodyne_points/timestamps.txt", numbers, sequence);
+        dataset_folder / "data_3d_raw" / chosen.drive / "velodyne_points/timestamps.txt", numbers, log);
     const bool has_poses = does_path_exist(dataset_folder / "data_poses" / chosen.drive);
     if (!user_pose_file.empty() && !has_poses) {
         // The caller replaces these poses by those of the user.
-        for (std::size_t i = 0; i < numbers.size(); ++i) add_frame(sequence, numbers[i], time_s[i], Pose{});
-        sequence.notes.push_back("data_poses is missing, so the boxes are not read");
+        for (std::size_t i = 0; i < numbers.size(); ++i) add_frame(log, numbers[i], time_s[i], Pose{});
+        log.notes.push_back("data_poses is missing, so the boxes are not read");
         return;
     }
-    add_posed_frames(sequence, numbers, time_s, read_lidar_poses(dataset_folder, chosen.drive));
+    add_posed_frames(log, numbers, time_s, read_lidar_poses(dataset_folder, chosen.drive));
     const fs::path box_file = find_box_file(dataset_folder, chosen.drive);
-    if (box_file.empty()) sequence.notes.push_back("data_3d_bboxes is missing, so this drive has no labels");
-    else sequence.boxes = read_360_boxes(box_file, sequence.frames);
+    if (box_file.empty()) log.notes.push_back("data_3d_bboxes is missing, so this drive has no labels");
+    else log.boxes = read_360_boxes(box_file, log.frames);
 }
 
 }  // namespace
@@ -293,23 +293,23 @@ Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
     const fs::path points = folder / "data_3d_raw" / chosen.drive / "velodyne_points";
     const std::vector<int> frames = list_scans(points / "data", chosen.frames.begin, chosen.frames.end);
 
-    Log sequence;
-    sequence.name = chosen.drive;
-    sequence.source = log_folder.string();
-    sequence.conventions =
+    Log log;
+    log.name = chosen.drive;
+    log.source = log_folder.string();
+    log.conventions =
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of the "
         "drive. At the time of a frame, the head faces forward. World frame: x east, y north, z up "
         "(Mercator). Scans are not motion-compensated.";
-    sequence.notes = chosen.notes;
-    sequence.test_frames = chosen.test_frames;
-    note_missing_scans(sequence, points / "data", frames, options.allow_missing_scans);
-    sequence.lidars[0].sensor.period_s = read_time_step_s(points / "timestamps.txt");
-    add_kitti_360_frames(sequence, folder, chosen, frames, options.poses_file);
-    replace_poses(sequence, options.poses_file);
-    centre_log(sequence);
+    log.notes = chosen.notes;
+    log.test_frames = chosen.test_frames;
+    note_missing_scans(log, points / "data", frames, options.allow_missing_scans);
+    log.lidars[0].sensor.period_s = read_time_step_s(points / "timestamps.txt");
+    add_kitti_360_frames(log, folder, chosen, frames, options.poses_file);
+    replace_poses(log, options.poses_file);
+    centre_log(log);
     constexpr int kFileNameDigits = 10;
-    read_hdl64_sweeps(sequence, points / "data", kFileNameDigits, options);
-    return sequence;
+    read_hdl64_sweeps(log, points / "data", kFileNameDigits, options);
+    return log;
 }
 
 }  // namespace relidar

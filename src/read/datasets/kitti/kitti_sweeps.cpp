@@ -48,26 +48,26 @@ BeamCones correct_all_rings(std::vector<RingScan>& scans, const std::string& whe
 
 /// Moves the points of motion-compensated scans back to their firing times, if they show
 /// how the head turned. Adds a note and sets the rolling shutter then.
-std::optional<read::FiringRecovery> recover_sweeps(Log& sequence, std::vector<RingScan>& scans,
+std::optional<read::FiringRecovery> recover_sweeps(Log& log, std::vector<RingScan>& scans,
                                                    const std::string& scan_folder, bool has_poses) {
     // find_firings() needs rings. Compensation moves points by less than the distance
     // between beams, so they are good enough now. The caller corrects them again.
     correct_all_rings(scans, scan_folder);
     std::vector<read::CompensatedSweep> samples;
     for (const std::size_t i : read::spread_indices(scans.size(), kFitScans))
-        if (scans[i].is_complete()) samples.push_back({scans[i].points, sequence.frames[i].time_s});
-    read::CompensatedSensor sensor{.period_s = read::estimate_sweep_s(sequence, 0), .n_ticks = kEncoderTicks};
-    if (has_poses) sensor.world_from_sensor = sequence.lidar_track(0);
+        if (scans[i].is_complete()) samples.push_back({scans[i].points, log.frames[i].time_s});
+    read::CompensatedSensor sensor{.period_s = read::estimate_sweep_s(log, 0), .n_ticks = kEncoderTicks};
+    if (has_poses) sensor.world_from_sensor = log.lidar_track(0);
     const std::optional<read::FiringRecovery> recovery = read::find_firings(samples, sensor);
     if (!recovery) return recovery;
     parallel_for(int(scans.size()), [&](int index) {
         const auto i = std::size_t(index);
-        read::restore_firings(scans[i].points, *recovery, sequence.frames[i].time_s);
+        read::restore_firings(scans[i].points, *recovery, log.frames[i].time_s);
     });
-    sequence.rolling_shutter = true;
-    sequence.lidars[0].sensor.period_s = sensor.period_s;
-    sequence.lidars[0].sensor.clockwise = recovery->turn.clockwise;
-    sequence.notes.push_back(read::describe_recovery(*recovery));
+    log.rolling_shutter = true;
+    log.lidars[0].sensor.period_s = sensor.period_s;
+    log.lidars[0].sensor.clockwise = recovery->turn.clockwise;
+    log.notes.push_back(read::describe_recovery(*recovery));
     return recovery;
 }
 
@@ -174,14 +174,14 @@ void check_ray_counts(const std::vector<RingScan>& scans, const FiringGrid& grid
 
 }  // namespace
 
-void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, int file_name_digits,
+void read_hdl64_sweeps(Log& log, const std::filesystem::path& scan_folder, int file_name_digits,
                        const DatasetOptions& options, const std::filesystem::path& label_folder) {
     const Progress& progress = options.progress;
     ScanErrorCollector broken(options.skip_broken);
     const auto file_of = [&](std::size_t frame) {
-        return scan_folder / fmt::format("{:0{}d}.bin", sequence.frames[frame].index, file_name_digits);
+        return scan_folder / fmt::format("{:0{}d}.bin", log.frames[frame].index, file_name_digits);
     };
-    std::vector<RingScan> raw(sequence.frames.size());
+    std::vector<RingScan> raw(log.frames.size());
     progress_for(raw.size(), progress, "reading scans", [&](std::size_t frame) {
         broken.guard(frame, [&] {
             const std::filesystem::path file = file_of(frame);
@@ -192,19 +192,19 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
     });
     record_truncated(
         raw, [&](std::size_t frame) { return file_of(frame).string(); }, broken);
-    if (broken.size() == raw.size()) broken.report_broken(sequence, raw.size());
+    if (broken.size() == raw.size()) broken.report_broken(log, raw.size());
     for (std::size_t frame = 0; frame < raw.size(); ++frame)
         // Empties broken scans, so that the fits below ignore them.
         if (broken.is_scan_broken(frame)) raw[frame] = {};
     if (std::string note = scale_intensities(raw, scan_folder.string()); !note.empty())
-        sequence.notes.push_back(std::move(note));
+        log.notes.push_back(std::move(note));
 
     std::optional<read::FiringRecovery> recovery;
-    if (!sequence.rolling_shutter) {
+    if (!log.rolling_shutter) {
         if (options.rolling_shutter)
-            recovery = recover_sweeps(sequence, raw, scan_folder.string(), options.poses_file != kNoPoses);
-        if (!sequence.rolling_shutter)
-            sequence.notes.push_back(
+            recovery = recover_sweeps(log, raw, scan_folder.string(), options.poses_file != kNoPoses);
+        if (!log.rolling_shutter)
+            log.notes.push_back(
                 "the scans are motion-compensated, so all rays start at the position of the sensor at the "
                 "time of the frame");
     }
@@ -227,12 +227,12 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
         });
         raw[frame] = {};
     });
-    SpinningSensor& sensor = sequence.lidars[0].sensor;
-    sensor.name = "HDL-64E fitted to " + sequence.name;
+    SpinningSensor& sensor = log.lidars[0].sensor;
+    sensor.name = "HDL-64E fitted to " + log.name;
     sensor.max_range_m = options.max_range_m;
     sensor.beams = beams;
-    read::set_fired_scans(sequence, sweeps, progress);
-    broken.remove_broken(sequence);
+    read::set_fired_scans(log, sweeps, progress);
+    broken.remove_broken(log);
 }
 
 }  // namespace relidar::kitti

@@ -5,18 +5,18 @@
 
 #include <filesystem>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/read/dataset.hpp>
 
 namespace relidar::kitti {
 
 /// Assigns the points of each scan to the rays that were fired. Sets the LiDAR except its
 /// period.
-/// @param sequence  log with frame numbers
+/// @param log  log with frame numbers
 /// @param file_name_digits  for example 10 in 0000000042.bin
 /// @param label_folder  empty if the points have no labels
 /// @throws DataError with the file
-void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, int file_name_digits,
+void read_hdl64_sweeps(Log& log, const std::filesystem::path& scan_folder, int file_name_digits,
                        const DatasetOptions& options, const std::filesystem::path& label_folder = {});
 
 }  // namespace relidar::kitti

@@ -118,11 +118,11 @@ void add_ring_times(read::PointTable& table, MulranPointOrder point_order, const
 
 /// Reads the vehicle poses: a time stamp and a 3x4 matrix per line. Adds a note if the
 /// vehicle does not drive along x: then the axes are probably wrong.
-PoseTrack read_mulran_poses(const fs::path& pose_file, const read::StampedLog& log, Notes& notes) {
+PoseTrack read_mulran_poses(const fs::path& pose_file, const read::StampedLog& stamped, Notes& notes) {
     PoseTrack track;
     constexpr std::size_t kMatrixNumbers = 12;
     for (const read::PoseRow& row : read::read_stamped_rows(pose_file, kMatrixNumbers))
-        track.append(log.seconds_of(row.stamp), make_pose(row.values, row.where));
+        track.append(stamped.seconds_of(row.stamp), make_pose(row.values, row.where));
     const glm::dvec3 driven = read::driving_direction(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kMinForwardMotion)
         notes.push_back(fmt::format(
@@ -143,13 +143,13 @@ Pose lidar_mount() {
 
 /// Returns how to read the scan files, with notes. The files have neither times nor
 /// rings, so the format has a function that computes both from the order of the points.
-read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& scan_files) {
+read::FileFormat make_point_format(Log& log, const std::vector<fs::path>& scan_files) {
     read::FileFormat format;
-    read::set_intensity_max(format, sequence, scan_files);
+    read::set_intensity_max(format, log, scan_files);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kPi;  // x points backward in the files, and forward in relidar
     const MulranPointOrder order = detect_order(scan_files);
-    sequence.notes.push_back(
+    log.notes.push_back(
         "the points have no times; relidar computes the times from the order of the points in the file; the "
         "stamp of a file is the middle of its sweep");
     format.complete = [order](read::PointTable& table, const std::string& location) {
@@ -164,11 +164,11 @@ read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& s
 Log load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
     const fs::path folder = fs::canonical(log_folder);
-    Log sequence;
-    sequence.name = "MulRan " + folder.filename().string();
-    sequence.source = log_folder.string();
-    sequence.notes = {"this log has no labels"};
-    sequence.conventions =
+    Log log;
+    log.name = "MulRan " + folder.filename().string();
+    log.source = log_folder.string();
+    log.notes = {"this log has no labels"};
+    log.conventions =
         "Frames of vehicle and LiDAR: x forward, y left, z up, in metres (in MulRan's files, the LiDAR's x "
         "axis points backward). Times are seconds after the first scan. The time of a frame is the middle of "
         "its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
@@ -179,30 +179,30 @@ Log load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
             "{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in one of "
             "them",
             folder.string());
-    read::StampedLog log{.unit_s = kNanosecond,
-                         .scans = read::list_stamped_files(scans_folder),
-                         .world_from_vehicle = {},
-                         .poses_file = folder / "global_pose.csv",
-                         .most_gap_s = kMostGap_s,
-                         .pose_margin_s = 0.5 * kRevolution_s};  // the stamp is the middle of a sweep
-    read::check_pose_source(log.poses_file, options);
+    read::StampedLog stamped{.unit_s = kNanosecond,
+                             .scans = read::list_stamped_files(scans_folder),
+                             .world_from_vehicle = {},
+                             .poses_file = folder / "global_pose.csv",
+                             .most_gap_s = kMostGap_s,
+                             .pose_margin_s = 0.5 * kRevolution_s};  // the stamp is the middle of a sweep
+    read::check_pose_source(stamped.poses_file, options);
     if (options.poses_file.empty())
-        log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
-    Lidar& lidar = sequence.lidars[0];
+        stamped.world_from_vehicle = read_mulran_poses(stamped.poses_file, stamped, log.notes);
+    Lidar& lidar = log.lidars[0];
     lidar.vehicle_from_sensor = lidar_mount();
-    lidar.sensor.name = "OS1-64 fitted to " + sequence.name;
+    lidar.sensor.name = "OS1-64 fitted to " + log.name;
     lidar.sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = read::add_frames(sequence, log, options);
-    read::read_frame_scans(sequence, files, make_point_format(sequence, files), options);
+    const std::vector<fs::path> files = read::add_frames(log, stamped, options);
+    read::read_frame_scans(log, files, make_point_format(log, files), options);
     if (options.poses_file.empty()) {
         // Corrects the rays with all 100 poses per second, not only those at the frames.
-        const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
+        const PoseTrack track = shift_track(stamped.world_from_vehicle, -log.world_offset_m);
         // Scans without a pose were skipped, so `track` has a pose at each time.
         const auto pose_at = [&](double t_s) { return std::optional(track.pose_at(t_s)); };
-        if (std::string note = read::correct_rays(sequence, pose_at); !note.empty())
-            sequence.notes.push_back(std::move(note));
+        if (std::string note = read::correct_rays(log, pose_at); !note.empty())
+            log.notes.push_back(std::move(note));
     }
-    return sequence;
+    return log;
 }
 
 }  // namespace relidar

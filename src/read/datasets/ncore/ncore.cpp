@@ -14,7 +14,7 @@
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "log/sequence/match_sweeps.hpp"
+#include "log/frames/match_sweeps.hpp"
 #include "read/datasets/ncore/ncore_scans.hpp"
 #include "read/files/point_table.hpp"
 #include "read/kitti/log_files.hpp"

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "base/codecs/zarr.hpp"
 

@@ -147,23 +147,23 @@ Lidar make_hdl32e(const Pose& ego_from_lidar) {
     return {"", sensor, ego_from_lidar * nuscenes_from_relidar};
 }
 
-void read_hdl32e_sweeps(Log& sequence, const std::vector<SweepFiles>& sweep_files,
+void read_hdl32e_sweeps(Log& log, const std::vector<SweepFiles>& sweep_files,
                         const std::array<SurfaceClass, 256>& class_of_category,
                         const PoseTrack& vehicle_track, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
     std::vector<PoseTrack> lidar_tracks;  // [lidars] poses of each LiDAR over time
-    for (const Lidar& lidar : sequence.lidars)
+    for (const Lidar& lidar : log.lidars)
         lidar_tracks.push_back(mount_track(vehicle_track, lidar.vehicle_from_sensor));
     std::vector<read::FiredSweep> sweeps(sweep_files.size());
     progress_for(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t i) {
-        const Frame& frame = sequence.frames[i];
+        const Frame& frame = log.frames[i];
         broken.guard(i, [&] {  // skips a broken sweep, or throws its error
-            sweeps[i] = read_sweep(sweep_files[i], class_of_category, sequence.lidar_of(frame).sensor,
+            sweeps[i] = read_sweep(sweep_files[i], class_of_category, log.lidar_of(frame).sensor,
                                    lidar_tracks[std::size_t(frame.lidar)], frame.time_s);
         });
     });
-    read::set_fired_scans(sequence, sweeps, options.progress);
-    broken.remove_broken(sequence);
+    read::set_fired_scans(log, sweeps, options.progress);
+    broken.remove_broken(log);
 }
 
 }  // namespace relidar::nuscenes

@@ -33,7 +33,7 @@ struct SweepFiles {
 /// @param class_of_category  class of each category index
 /// @param vehicle_track  used to undo the motion compensation
 /// @throws DataError that names the file and the point
-void read_hdl32e_sweeps(Log& sequence, const std::vector<SweepFiles>& sweep_files,
+void read_hdl32e_sweeps(Log& log, const std::vector<SweepFiles>& sweep_files,
                         const std::array<SurfaceClass, 256>& class_of_category,
                         const PoseTrack& vehicle_track, const DatasetOptions& options);
 

@@ -14,7 +14,7 @@
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "log/sequence/match_sweeps.hpp"
+#include "log/frames/match_sweeps.hpp"
 #include "read/datasets/nuscenes/hdl32e_sweeps.hpp"
 #include "read/datasets/nuscenes/nuscenes_tables.hpp"
 #include "read/kitti/log_files.hpp"
@@ -192,32 +192,32 @@ public:
     }
 
     Log load_scene() {
-        sequence_.name = fmt::format("{} {}", format_.dataset, scene_.name);
-        sequence_.source = folder_.string();
-        sequence_.conventions = fmt::format(
+        log_.name = fmt::format("{} {}", format_.dataset, scene_.name);
+        log_.source = folder_.string();
+        log_.conventions = fmt::format(
             "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of "
             "the scene. Boxes are interpolated between keyframes. {}",
             format_.conventions);
-        set_log_start(sequence_, 1000 * scene_.lidars[0].sweeps[0].time_us, "on the clock of the dataset");
+        set_log_start(log_, 1000 * scene_.lidars[0].sweeps[0].time_us, "on the clock of the dataset");
         select_lidars();
         select_sweeps();
         for (const FrameSweepRecord& frame : frames_) {
             const std::size_t k = std::size_t(frame.number);
             const auto lidar = std::ranges::find(lidars_, frame.lidar) - lidars_.begin();
-            add_frame(sequence_, frame.number, main_s_[k], scene_.world_from_ego[k], int(lidar));
+            add_frame(log_, frame.number, main_s_[k], scene_.world_from_ego[k], int(lidar));
         }
         // Keeps the poses of the dataset, because its motion compensation used them and
         // not the poses of the user.
-        const PoseTrack vehicle_track = sequence_.world_from_vehicle;
+        const PoseTrack vehicle_track = log_.world_from_vehicle;
         if (scene_.labels.empty()) add_note("this scene has no annotations, so it has no labels");
-        sequence_.boxes = tracks_at_frames(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
-        kitti::replace_poses(sequence_, options_.poses_file);
-        centre_log(sequence_);
-        if (options_.poses_file.empty()) sequence_.georeference = find_map_place(scene_.location);
+        log_.boxes = tracks_at_frames(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
+        kitti::replace_poses(log_, options_.poses_file);
+        centre_log(log_);
+        if (options_.poses_file.empty()) log_.georeference = find_map_place(scene_.location);
         if (format_.is_compensated)
-            read_hdl32e_sweeps(sequence_, list_frame_files(), scene_.classes, vehicle_track, options_);
+            read_hdl32e_sweeps(log_, list_frame_files(), scene_.classes, vehicle_track, options_);
         else read_point_scans();
-        return std::move(sequence_);
+        return std::move(log_);
     }
 
 private:
@@ -230,9 +230,9 @@ private:
     const NuscenesVariant& format_;
     std::vector<double> main_s_;       ///< times in seconds of the sweeps of the first LiDAR
     double step_s_ = 0.0;              ///< time between these sweeps
-    std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] index in scene_.lidars
+    std::vector<std::size_t> lidars_;  ///< [log_.lidars] index in scene_.lidars
     std::vector<FrameSweepRecord> frames_;
-    Log sequence_;
+    Log log_;
 
     /// Identifies the dataset by the ending of the LiDAR files. Files with nuScenes'
     /// ending may come from another LiDAR, so their points are tested too.
@@ -249,7 +249,7 @@ private:
              quote(lidar_file), fmt::join(endings, ", "));
     }
 
-    void add_note(std::string text) { sequence_.notes.push_back(std::move(text)); }
+    void add_note(std::string text) { log_.notes.push_back(std::move(text)); }
     static std::string lyft_prefix(const fs::path& table_folder) {
         const std::string name = table_folder.filename().string();
         return name.ends_with("_data") ? name.substr(0, name.size() - 4) : "";
@@ -268,7 +268,7 @@ private:
                 fail<UsageError>(
                     "dataset.lidars: the scene {1} has no LiDAR '{0}', expected one or more of: {2}",
                     quote(name), scene_.name, fmt::join(channels, ", "));
-        sequence_.lidars.clear();
+        log_.lidars.clear();
         for (std::size_t l = 0; l < channels.size(); ++l) {
             if (!options_.lidars.empty() &&
                 std::ranges::find(options_.lidars, channels[l]) == options_.lidars.end()) {
@@ -283,7 +283,7 @@ private:
             // A LiDAR needs a name only if the log has several or the user selected it.
             if (channels.size() > 1 || !options_.lidars.empty()) lidar.name = channels[l];
             lidar.sensor.max_range_m = options_.max_range_m;
-            sequence_.lidars.push_back(std::move(lidar));
+            log_.lidars.push_back(std::move(lidar));
             lidars_.push_back(l);
         }
         if (format_.is_compensated && lidars_.size() > 1)
@@ -384,11 +384,10 @@ private:
         DatasetOptions options = options_;
         if (is_compensated) options.rolling_shutter = false;  // keeps them as they are
         read::read_scan_files(
-            sequence_,
-            {.lidars = std::vector(sequence_.lidars.size(), lidar), .motion_compensated = is_compensated},
+            log_, {.lidars = std::vector(log_.lidars.size(), lidar), .motion_compensated = is_compensated},
             units, files, options);
         if (!is_compensated) return;
-        for (Frame& frame : sequence_.frames) std::ranges::fill(frame.scan.rays.time_offset_s, 0.0f);
+        for (Frame& frame : log_.frames) std::ranges::fill(frame.scan.rays.time_offset_s, 0.0f);
     }
 };
 

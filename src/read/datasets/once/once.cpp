@@ -82,14 +82,14 @@ OnceFile read_once_json(const fs::path& json_file, const fs::path& scan_folder, 
 }
 
 /// Returns the LiDAR poses over time in ONCE's axes (x left, y back), as they are stored.
-PoseTrack make_dataset_track(const std::vector<read::PoseRow>& poses, const read::StampedLog& log,
+PoseTrack make_dataset_track(const std::vector<read::PoseRow>& poses, const read::StampedLog& stamped,
                              bool w_first) {
     PoseTrack track;
     for (const read::PoseRow& pose : poses) {
         const auto& n = pose.values;
         const glm::dquat q =
             w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
-        track.append(log.seconds_of(pose.stamp), {glm::normalize(q), {n[4], n[5], n[6]}});
+        track.append(stamped.seconds_of(pose.stamp), {glm::normalize(q), {n[4], n[5], n[6]}});
     }
     return track;
 }
@@ -97,9 +97,9 @@ PoseTrack make_dataset_track(const std::vector<read::PoseRow>& poses, const read
 /// Returns the LiDAR poses over time in relidar's axes (x forward, y left). ONCE's axes
 /// are x left and y back. Uses the order of quaternion numbers with which the vehicle
 /// drives forward.
-PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedLog& log, Notes& notes) {
-    const PoseTrack w_last = make_dataset_track(dataset_content.poses, log, false),
-                    w_first = make_dataset_track(dataset_content.poses, log, true);
+PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedLog& stamped, Notes& notes) {
+    const PoseTrack w_last = make_dataset_track(dataset_content.poses, stamped, false),
+                    w_first = make_dataset_track(dataset_content.poses, stamped, true);
     // share of forward (-y) motion, at most 1
     const double forward_if_last = -read::driving_direction(w_last).mean.y,
                  forward_if_first = -read::driving_direction(w_first).mean.y;
@@ -118,9 +118,9 @@ PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedL
 /// Returns how to read the scan files of ONCE's LiDAR, a Pandar40P. The files have no
 /// rings, so the format contains the beams of the data sheet. The maximum of the scale of
 /// intensities, for example 255, is estimated from a few files. Adds a note about it.
-read::FileFormat make_once_format(Log& sequence, const std::vector<fs::path>& scan_files) {
+read::FileFormat make_once_format(Log& log, const std::vector<fs::path>& scan_files) {
     read::FileFormat format;
-    read::set_intensity_max(format, sequence, scan_files);
+    read::set_intensity_max(format, log, scan_files);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kAxesTurn_rad;  // about z, from ONCE's axes to relidar's
     format.beams = std::get<SpinningSensor>(find_built_in(kSensorName)->pattern).beams;
@@ -135,15 +135,15 @@ Log load_once(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
     const fs::path folder = fs::canonical(log_folder), json = folder / (folder.filename().string() + ".json");
     const OnceFile content = read_once_json(json, folder / "lidar_roof", options.poses_file.empty());
-    Log sequence;
-    sequence.name = "ONCE " + folder.filename().string();
-    sequence.source = log_folder.string();
-    sequence.conventions =
+    Log log;
+    log.name = "ONCE " + folder.filename().string();
+    log.source = log_folder.string();
+    log.conventions =
         "LiDAR coordinates: x forward, y left, z up, in metres. relidar rotates the points of ONCE's files, "
         "which have x left and y back. Point positions are otherwise unchanged. Times are seconds after the "
         "first scan. World coordinates are the LiDAR coordinates of the first scan in ONCE's files (x left, "
         "y back).";
-    sequence.notes = {
+    log.notes = {
         content.n_boxes == 0
             ? std::string("this log has no labels")
             : fmt::format("{} boxes in {} labelled frames are ignored, because they have no track ids",
@@ -152,15 +152,16 @@ Log load_once(const fs::path& log_folder, const DatasetOptions& options) {
         fail("{}: {} frames have no scan in lidar_roof, expected one scan per frame", json.string(),
              content.n_missing);
     if (content.n_missing > 0)
-        sequence.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
-    read::StampedLog log{
+        log.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
+    read::StampedLog stamped{
         .unit_s = kMillisecond, .scans = content.scans, .world_from_vehicle = {}, .poses_file = json};
-    if (options.poses_file.empty()) log.world_from_vehicle = make_lidar_track(content, log, sequence.notes);
-    sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensorName, sequence.name);
-    sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = read::add_frames(sequence, log, options);
-    read::read_frame_scans(sequence, files, make_once_format(sequence, files), options);
-    return sequence;
+    if (options.poses_file.empty())
+        stamped.world_from_vehicle = make_lidar_track(content, stamped, log.notes);
+    log.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensorName, log.name);
+    log.lidars[0].sensor.max_range_m = options.max_range_m;
+    const std::vector<fs::path> files = read::add_frames(log, stamped, options);
+    read::read_frame_scans(log, files, make_once_format(log, files), options);
+    return log;
 }
 
 }  // namespace relidar

@@ -178,24 +178,24 @@ void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
 }
 
 /// Returns a scan with two returns per ray and noisy ranges.
-Scan simulate_dual_scan(const StreetOptions& options, const street::SyntheticStreet& street,
-                        const Log& sequence, const RayTable& rays, const Frame& frame) {
-    const SpinningSensor& sensor = sequence.lidar_of(frame).sensor;
-    Scan scan = cast_dual_scan(street, sequence.world_offset_m, rays, sequence.lidar_track(frame.lidar),
-                               frame.time_s, nominal_max_range_m(sensor.name).value_or(sensor.max_range_m));
+Scan simulate_dual_scan(const StreetOptions& options, const street::SyntheticStreet& street, const Log& log,
+                        const RayTable& rays, const Frame& frame) {
+    const SpinningSensor& sensor = log.lidar_of(frame).sensor;
+    Scan scan = cast_dual_scan(street, log.world_offset_m, rays, log.lidar_track(frame.lidar), frame.time_s,
+                               nominal_max_range_m(sensor.name).value_or(sensor.max_range_m));
     add_range_noise(scan, seed_of(options, frame), options.range_noise_m);
     return scan;
 }
 
 /// Returns a scan with noisy ranges and intensities. The random numbers depend only on
 /// seed, frame and ray, so threads can generate frames in any order.
-Scan simulate_scan(const StreetOptions& options, const street::SyntheticStreet& street, const Log& sequence,
+Scan simulate_scan(const StreetOptions& options, const street::SyntheticStreet& street, const Log& log,
                    const RayTable& rays, const Frame& frame) {
     constexpr double kIntensityNoise = 0.01;
     Scan scan = make_empty_scan(rays);
     const std::uint64_t seed = seed_of(options, frame);
-    const PoseTrack track = sequence.lidar_track(frame.lidar);
-    cast_rays(street, sequence.world_offset_m, track, frame.time_s, rays,
+    const PoseTrack track = log.lidar_track(frame.lidar);
+    cast_rays(street, log.world_offset_m, track, frame.time_s, rays,
               [&](std::size_t ray, const StreetHit& hit) {
                   Random random(hash_pair(seed, ray));
                   if (random.sample_uniform() < drop_chance(hit)) return;
@@ -264,30 +264,30 @@ Log make_frames(const StreetOptions& options, int begin_frame, int end_frame) {
             "use fewer frames",
             end_frame - begin_frame, n_rays, double(end_frame - begin_frame) * n_rays, kMostRays);
     const street::SyntheticStreet street = street::make_street(options);
-    Log sequence;
-    sequence.name = fmt::format("synthetic street {}", options.seed);
-    sequence.source = "synthetic";
-    sequence.conventions =
+    Log log;
+    log.name = fmt::format("synthetic street {}", options.seed);
+    log.source = "synthetic";
+    log.conventions =
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after frame 0. At the time of a "
         "frame, the head faces forward. Poses are exact, and each ray is cast at its firing time.";
-    sequence.lidars = make_rig_lidars(rig);
+    log.lidars = make_rig_lidars(rig);
     for (int frame = begin_frame; frame < end_frame; ++frame)
         for (std::size_t l = 0; l < rig.size(); ++l)
-            add_frame(sequence, frame, street::frame_time_of_s(frame),
+            add_frame(log, frame, street::frame_time_of_s(frame),
                       street::sensor_pose_at(options, street::frame_time_of_s(frame)), int(l));
-    sequence.boxes = make_car_tracks(street, sequence.world_from_vehicle.time_s);
-    centre_log(sequence, world_origin_m(options));
-    parallel_for(int(sequence.frames.size()), [&](int index) {
-        Frame& frame = sequence.frames[std::size_t(index)];
+    log.boxes = make_car_tracks(street, log.world_from_vehicle.time_s);
+    centre_log(log, world_origin_m(options));
+    parallel_for(int(log.frames.size()), [&](int index) {
+        Frame& frame = log.frames[std::size_t(index)];
         const std::size_t l = std::size_t(frame.lidar);
         // Some patterns change from sweep to sweep, so their rays depend on the time of
         // the frame.
         const bool changes = summarise_pattern(rig[l].sensor.pattern).has_rays_by_time;
         const RayTable table = changes ? make_rays(rig[l].sensor, frame.time_s) : rays[l];
-        frame.scan = rig[l].returns == 2 ? simulate_dual_scan(options, street, sequence, table, frame)
-                                         : simulate_scan(options, street, sequence, table, frame);
+        frame.scan = rig[l].returns == 2 ? simulate_dual_scan(options, street, log, table, frame)
+                                         : simulate_scan(options, street, log, table, frame);
     });
-    return sequence;
+    return log;
 }
 
 Log make_street_log(const StreetOptions& options) { return make_frames(options, 0, options.n_frames); }

@@ -85,19 +85,19 @@ Log load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     const StreetOptions street = load_street(folder);
     FrameRange frames;  // make_frames() rejects a street without frames
     if (street.n_frames > 0) frames = limit_frames(options.frames, street.n_frames, folder.string());
-    Log sequence;
+    Log log;
     try {
-        sequence = make_frames(street, frames.begin, frames.end);
+        log = make_frames(street, frames.begin, frames.end);
         // The wrong value is in a file and not on the command line, so it is a DataError.
     } catch (const UsageError& error) {
         fail("{}: {}", file.string(), error.what());
     }
-    sequence.source = folder.string();
+    log.source = folder.string();
     // Wrong poses with the same scans show the effect of the poses.
-    kitti::replace_poses(sequence, options.poses_file);
+    kitti::replace_poses(log, options.poses_file);
     if (!options.poses_file.empty())
-        sequence.conventions += " Poses are replaced by dataset.poses=" + options.poses_file.string();
-    return sequence;
+        log.conventions += " Poses are replaced by dataset.poses=" + options.poses_file.string();
+    return log;
 }
 
 StreetOptions load_street(const fs::path& folder) { return parse_street_toml(folder / "street.toml"); }

@@ -210,9 +210,8 @@ public:
     /// Creates a reader for one LiDAR in one frame.
     /// @param model_rays  rays of the LiDAR without correction for its motion
     /// @param clamps  true: intensities are clamped to 1; false: scaled with tanh
-    RangeImageReader(const Log& sequence, const Frame& frame, RayTable model_rays, std::string place,
-                     bool clamps)
-        : lidar_(sequence.lidar_of(frame)), where_(std::move(place)), clamps_(clamps) {
+    RangeImageReader(const Log& log, const Frame& frame, RayTable model_rays, std::string place, bool clamps)
+        : lidar_(log.lidar_of(frame)), where_(std::move(place)), clamps_(clamps) {
         scan.rays = std::move(model_rays);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
@@ -220,7 +219,7 @@ public:
         for (int column = 0; column < scan.rays.columns; ++column) {
             const double time_s = frame.time_s + double(scan.rays.time_offset_s[std::size_t(column)]);
             sensor_from_world_.push_back(
-                inverse(sequence.world_from_vehicle.mounted_pose_at(time_s, lidar_.vehicle_from_sensor)));
+                inverse(log.world_from_vehicle.mounted_pose_at(time_s, lidar_.vehicle_from_sensor)));
         }
     }
 
@@ -326,28 +325,28 @@ std::vector<Lidar> read_waymo_lidars(const TfRecordReader& records, int record_i
 /// Adds LiDARs, frames and box labels to the log, but no scans. The first loaded record
 /// defines the LiDARs. Time 0 is the first record of the file, even if it is not loaded.
 /// @param frame_headers  headers of the loaded records, beginning with `first_record`
-void add_segment_frames(Log& sequence, const TfRecordReader& records,
+void add_segment_frames(Log& log, const TfRecordReader& records,
                         const std::vector<WaymoFrameHeader>& frame_headers, int first_record,
                         bool only_top_lidar) {
     const double period_s = frame_period_s(frame_headers, records.file_path().string());
-    sequence.lidars = read_waymo_lidars(records, first_record, period_s, only_top_lidar);
+    log.lidars = read_waymo_lidars(records, first_record, period_s, only_top_lidar);
     const std::int64_t start_us =
         parse_frame(records.read_record(0), record_location(records, 0)).timestamp_us;
-    set_log_start(sequence, 1000 * start_us, "on the clock of the dataset");
+    set_log_start(log, 1000 * start_us, "on the clock of the dataset");
 
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < frame_headers.size(); ++i) {
         // The time stamp is the start of the sweep, when the head faces backward. The
         // time of a frame is half a period later, when the head faces forward.
         const double time_s = 1e-6 * double(frame_headers[i].timestamp_us - start_us) + 0.5 * period_s;
-        for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
-            add_frame(sequence, first_record + int(i), time_s, frame_headers[i].world_from_vehicle, lidar);
+        for (int lidar = 0; lidar < int(log.lidars.size()); ++lidar)
+            add_frame(log, first_record + int(i), time_s, frame_headers[i].world_from_vehicle, lidar);
         for (BoxLabel label : frame_headers[i].labels) {
             label.time_s = time_s;
             labels.push_back(std::move(label));
         }
     }
-    sequence.boxes = build_tracks(labels);
+    log.boxes = build_tracks(labels);
 }
 
 /// Returns the rays of each LiDAR, without correction for motion. The dataset has ray
@@ -364,12 +363,11 @@ std::vector<RayTable> make_model_rays(const std::vector<Lidar>& lidars) {
 
 /// Reads the scan of one LiDAR from a parsed record.
 /// @param place  name of the record, for error messages
-Scan read_laser_scan(const Log& sequence, const Frame& frame, const SegmentFrame& record,
+Scan read_laser_scan(const Log& log, const Frame& frame, const SegmentFrame& record,
                      const RayTable& model_rays, const std::string& place, bool clamps_intensity) {
-    const std::string& name = sequence.lidar_of(frame).name;
+    const std::string& name = log.lidar_of(frame).name;
     const int laser_id = int(std::ranges::find(kLaserNames, name) - std::begin(kLaserNames));
-    RangeImageReader reader(sequence, frame, model_rays, fmt::format("{}: {}", place, name),
-                            clamps_intensity);
+    RangeImageReader reader(log, frame, model_rays, fmt::format("{}: {}", place, name), clamps_intensity);
     reader.to_scan(find_laser_images(record, laser_id, place), record.world_from_vehicle);
     return std::move(reader.scan);
 }
@@ -377,25 +375,25 @@ Scan read_laser_scan(const Log& sequence, const Frame& frame, const SegmentFrame
 /// Reads the scans of all frames in parallel. A broken scan is an error, or is skipped if
 /// the user allows it. The LiDARs of a sweep have consecutive frames in the log, and
 /// their images are in one record, which is parsed only once.
-void read_record_scans(Log& sequence, const TfRecordReader& records, const DatasetOptions& options) {
+void read_record_scans(Log& log, const TfRecordReader& records, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
-    const std::vector<RayTable> model_rays = make_model_rays(sequence.lidars);
-    const std::size_t n_lidars = sequence.lidars.size(), n_sweeps = sequence.frames.size() / n_lidars;
+    const std::vector<RayTable> model_rays = make_model_rays(log.lidars);
+    const std::size_t n_lidars = log.lidars.size(), n_sweeps = log.frames.size() / n_lidars;
     progress_for(n_sweeps, options.progress, "reading range images", [&](std::size_t sweep) {
         const std::size_t first_frame = sweep * n_lidars;
-        const int record_index = sequence.frames[first_frame].index;
+        const int record_index = log.frames[first_frame].index;
         const std::string data = records.read_record(std::size_t(record_index)),
                           where = record_location(records, record_index);
         const SegmentFrame record = parse_frame(data, where);
         for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
-            Frame& frame = sequence.frames[first_frame + lidar];
+            Frame& frame = log.frames[first_frame + lidar];
             broken.guard(first_frame + lidar, [&] {
-                frame.scan = read_laser_scan(sequence, frame, record, model_rays[lidar], where,
+                frame.scan = read_laser_scan(log, frame, record, model_rays[lidar], where,
                                              options.waymo.clamp_intensity);
             });
         }
     });
-    broken.remove_broken(sequence);
+    broken.remove_broken(log);
 }
 
 }  // namespace
@@ -414,25 +412,25 @@ Log load_waymo(const fs::path& path, const DatasetOptions& options) {
         headers[index] = read_header(records, loaded.begin + int(index));
     });
 
-    Log sequence;
-    sequence.name = file.stem().string();
-    sequence.source = path.string();
-    sequence.conventions =
+    Log log;
+    log.name = file.stem().string();
+    log.source = path.string();
+    log.conventions =
         "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first firing. At the "
         "time of a frame, the head of TOP faces forward. The intensity is " +
         std::string(options.waymo.clamp_intensity ? "Waymo's value clamped at 1"
                                                   : "the tanh of Waymo's value") +
         ". Rays of TOP have individual firing times. All rays of another LiDAR have the same time.";
-    sequence.notes = segment.notes;
-    sequence.test_frames = segment.test_frames;
+    log.notes = segment.notes;
+    log.test_frames = segment.test_frames;
     const bool only_top = segment.is_benchmark;  // as in the LiDAR-RT paper
-    add_segment_frames(sequence, records, headers, loaded.begin, only_top);
-    for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
+    add_segment_frames(log, records, headers, loaded.begin, only_top);
+    for (Lidar& lidar : log.lidars) lidar.sensor.max_range_m = options.max_range_m;
     // The scans need the poses of the dataset, so the user's poses replace them later.
-    read_record_scans(sequence, records, options);
-    kitti::replace_poses(sequence, options.poses_file);
-    centre_log(sequence);
-    return sequence;
+    read_record_scans(log, records, options);
+    kitti::replace_poses(log, options.poses_file);
+    centre_log(log);
+    return log;
 }
 
 }  // namespace relidar

@@ -49,23 +49,23 @@ constexpr double kArc_m = 1.3754 * 0.035088 * 0.035088, kBetween_m = kArc_m / 8 
 constexpr double kNearest_m = 4.7;
 
 TEST(Argoverse2, EveryRayIsWhereItWasFired) {
-    const Argoverse2Log log("rays");
-    EXPECT_EQ(detect_kind(log.folder), "argoverse2");
-    const Log sequence = log.load(kFar);
-    ASSERT_EQ(sequence.frames.size(), 6u);
-    ASSERT_EQ(sequence.lidars.size(), 2u);
-    EXPECT_EQ(sequence.lidars[0].name, "up_lidar");
-    EXPECT_TRUE(sequence.lidars[0].sensor.clockwise);
-    EXPECT_FALSE(sequence.lidars[1].sensor.clockwise) << "it hangs upside down and turns the same way";
-    EXPECT_TRUE(sequence.rolling_shutter);
-    for (const Frame& frame : sequence.frames) {
-        const std::vector<YardRay>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
-        const Lidar& lidar = sequence.lidar_of(frame);
+    const Argoverse2Log files("rays");
+    EXPECT_EQ(detect_kind(files.folder), "argoverse2");
+    const Log log = files.load(kFar);
+    ASSERT_EQ(log.frames.size(), 6u);
+    ASSERT_EQ(log.lidars.size(), 2u);
+    EXPECT_EQ(log.lidars[0].name, "up_lidar");
+    EXPECT_TRUE(log.lidars[0].sensor.clockwise);
+    EXPECT_FALSE(log.lidars[1].sensor.clockwise) << "it hangs upside down and turns the same way";
+    EXPECT_TRUE(log.rolling_shutter);
+    for (const Frame& frame : log.frames) {
+        const std::vector<YardRay>& rays = files.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
+        const Lidar& lidar = log.lidar_of(frame);
         ASSERT_EQ(frame.scan.rays.columns, Argoverse2Options().firings);
         EXPECT_EQ(frame.scan.count_returns(),
                   std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         const TrueRays truth(rays, lidar.sensor);
-        const PoseTrack track = sequence.lidar_track(frame.lidar);
+        const PoseTrack track = log.lidar_track(frame.lidar);
         const double off_m = frame.index == 2 ? kBeyond_m : kBetween_m;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const float range_m = frame.scan.range_m[i];
@@ -74,7 +74,7 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
             // A ray without a return has the time of its firing sequence. This time
             // differs by up to 35 us from the exact firing time.
             ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
-            const auto [origin_m, point_m] = test::place_return(sequence, track, frame, i);
+            const auto [origin_m, point_m] = test::place_return(log, track, frame, i);
             ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
             ASSERT_LT(glm::distance(origin_m, ray.origin_m), range_m > 0.0f ? off_m : 2e-3);
             ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
@@ -91,14 +91,14 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
 /// The sensors do not face forward at the time of the sweep. Moving objects must still be
 /// placed at the times of their rays.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
-    const Argoverse2Log log("facing");
-    const Log sequence = log.load(kFar);
-    for (const Frame& frame : sequence.frames) {
+    const Argoverse2Log files("facing");
+    const Log log = files.load(kFar);
+    for (const Frame& frame : log.frames) {
         ASSERT_TRUE(frame.start.has_value());
         std::size_t late = 0;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
-            const double facing_s = facing_time_s(sequence, point_m, timing_of(frame));
+            const double facing_s = facing_time_s(log, point_m, timing_of(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
         // Only few rays may be late. Beams deviate by up to 4.2 degrees from the sensor's
@@ -108,59 +108,58 @@ TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
 }
 
 TEST(Argoverse2, TimesPosesAndBoxes) {
-    const Argoverse2Log log("boxes");
-    const Log sequence = log.load();
-    ASSERT_EQ(sequence.world_from_vehicle.time_s.size(), 3u);
-    EXPECT_EQ(sequence.start_unix_ns, Argoverse2Log::kFirstSweep_ns);
+    const Argoverse2Log files("boxes");
+    const Log log = files.load();
+    ASSERT_EQ(log.world_from_vehicle.time_s.size(), 3u);
+    EXPECT_EQ(log.start_unix_ns, Argoverse2Log::kFirstSweep_ns);
     for (std::size_t i = 0; i < 3; ++i) {
         const double time_s = double(i) * 0.100252;
-        EXPECT_NEAR(sequence.world_from_vehicle.time_s[i], time_s, 1e-9);
-        test::expect_pose(sequence, sequence.world_from_vehicle.pose[i],
-                          Argoverse2Log::compute_vehicle_pose(time_s));
+        EXPECT_NEAR(log.world_from_vehicle.time_s[i], time_s, 1e-9);
+        test::expect_pose(log, log.world_from_vehicle.pose[i], Argoverse2Log::compute_vehicle_pose(time_s));
     }
-    ASSERT_EQ(sequence.boxes.size(), 1u);
-    const BoxTrack& box = sequence.boxes[0];
+    ASSERT_EQ(log.boxes.size(), 1u);
+    const BoxTrack& box = log.boxes[0];
     EXPECT_EQ(box.id, "1046f12a");
     EXPECT_EQ(box.category, "REGULAR_VEHICLE");
     EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6));
     ASSERT_EQ(box.world_from_box.pose.size(), 3u);
     for (std::size_t i = 0; i < 3; ++i)
-        test::expect_pose(sequence, box.world_from_box.pose[i],
+        test::expect_pose(log, box.world_from_box.pose[i],
                           Argoverse2Log::compute_box_pose(box.world_from_box.time_s[i]));
 }
 
 TEST(Argoverse2, PointsTellWhichHalfIsUp) {
-    const Argoverse2Log log("halves",
-                            {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
-    const Log sequence = log.load(kFar);
-    for (const Frame& frame : sequence.frames) {
-        const std::vector<YardRay>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
+    const Argoverse2Log files("halves",
+                              {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
+    const Log log = files.load(kFar);
+    for (const Frame& frame : log.frames) {
+        const std::vector<YardRay>& rays = files.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
         EXPECT_EQ(frame.scan.count_returns(),
                   std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::vec3& d = frame.scan.rays.direction[i];
-            const double beam =
-                sequence.lidar_of(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
+            const double beam = log.lidar_of(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
             ASSERT_NEAR(std::atan2(d.z, std::hypot(d.x, d.y)), beam, kBeyond_m / kNearest_m);
         }
     }
 }
 
 TEST(Argoverse2, FrameRangePosesAndNoLabels) {
-    const Argoverse2Log log("range");
-    fs::remove(log.file("annotations.feather"));
-    const Log sequence = log.load({.frames = {1, 3}});
-    ASSERT_EQ(sequence.frames.size(), 4u);
-    EXPECT_EQ(sequence.frames[0].index, 1);
-    EXPECT_NEAR(sequence.frames[0].time_s, 0.100252, 1e-9);
-    EXPECT_TRUE(sequence.boxes.empty());
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("annotations.feather ... missing")));
-    test::write_text(log.file("poses.txt"),
+    const Argoverse2Log files("range");
+    fs::remove(files.file("annotations.feather"));
+    const Log log = files.load({.frames = {1, 3}});
+    ASSERT_EQ(log.frames.size(), 4u);
+    EXPECT_EQ(log.frames[0].index, 1);
+    EXPECT_NEAR(log.frames[0].time_s, 0.100252, 1e-9);
+    EXPECT_TRUE(log.boxes.empty());
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("annotations.feather ... missing")));
+    test::write_text(files.file("poses.txt"),
                      "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n");
-    EXPECT_EQ(log.load({.frames = {1, 3}, .poses_file = log.file("poses.txt")}).world_offset_m,
+    EXPECT_EQ(files.load({.frames = {1, 3}, .poses_file = files.file("poses.txt")}).world_offset_m,
               glm::dvec3(6, 0, 0));
-    EXPECT_EQ(log.load({.poses_file = kNoPoses}).world_from_vehicle.pose[1].translation, glm::dvec3(0, 0, 0));
-    EXPECT_THROW(log.load({.frames = {3, -1}}), UsageError);
+    EXPECT_EQ(files.load({.poses_file = kNoPoses}).world_from_vehicle.pose[1].translation,
+              glm::dvec3(0, 0, 0));
+    EXPECT_THROW(files.load({.frames = {3, -1}}), UsageError);
 }
 
 std::string make_point_bytes(float x, std::uint8_t laser, std::int32_t offset_ns) {
@@ -173,24 +172,24 @@ std::string make_point_bytes(float x, std::uint8_t laser, std::int32_t offset_ns
 }
 
 TEST(Argoverse2, ASweepMayLackALidar) {
-    const Argoverse2Log log("lacking");
-    test::write_text(log.sweep(1), make_point_bytes(8.0f, 40, 5000000));
-    const Log sequence = log.load();
-    ASSERT_EQ(sequence.frames.size(), 5u);
-    EXPECT_EQ(sequence.frames[2].lidar, 1);
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 frames")));
+    const Argoverse2Log files("lacking");
+    test::write_text(files.sweep(1), make_point_bytes(8.0f, 40, 5000000));
+    const Log log = files.load();
+    ASSERT_EQ(log.frames.size(), 5u);
+    EXPECT_EQ(log.frames[2].lidar, 1);
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("1 frames")));
 }
 
 TEST(Argoverse2, SaysWhichFileIsWrong) {
-    const Argoverse2Log log("errors", {.sweeps = 2, .codec = test::FeatherCodec::none});
+    const Argoverse2Log files("errors", {.sweeps = 2, .codec = test::FeatherCodec::none});
     const auto refuse = [&](const fs::path& file, const std::vector<test::FeatherColumn>& columns,
                             const std::string& part) {
-        log.expect_error_with(file, test::make_feather_bytes(columns),
-                              file.filename().string() + " ... " + part);
+        files.expect_error_with(file, test::make_feather_bytes(columns),
+                                file.filename().string() + " ... " + part);
     };
-    const fs::path sensors = log.file("calibration/egovehicle_SE3_sensor.feather"),
-                   vehicle_poses = log.file("city_SE3_egovehicle.feather"),
-                   boxes = log.file("annotations.feather"), sweep = log.sweep(1);
+    const fs::path sensors = files.file("calibration/egovehicle_SE3_sensor.feather"),
+                   vehicle_poses = files.file("city_SE3_egovehicle.feather"),
+                   boxes = files.file("annotations.feather"), sweep = files.sweep(1);
     const std::vector<Pose> two(2);
     refuse(sensors, test::set_poses({test::make_texts("sensor_name", {"up_lidar", "ring"})}, two),
            "'sensor_name' ... down_lidar");
@@ -214,11 +213,11 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
              test::make_numbers("width_m", one), test::make_numbers("height_m", one)},
             {Pose{}});
     };
-    log.expect_error_with(boxes, test::make_feather_bytes(label(-1.0)), "box 'a' ... -1 x 1 x 1 m");
+    files.expect_error_with(boxes, test::make_feather_bytes(label(-1.0)), "box 'a' ... -1 x 1 x 1 m");
     const auto refuse_point = [&](float x, std::uint8_t laser, std::int32_t offset_ns,
                                   const std::string& part) {
-        log.expect_error_with(sweep, make_point_bytes(x, laser, offset_ns),
-                              sweep.filename().string() + " ... " + part);
+        files.expect_error_with(sweep, make_point_bytes(x, laser, offset_ns),
+                                sweep.filename().string() + " ... " + part);
     };
     refuse_point(2e4f, 1, 0, "point 0 ... (20000, 1, 1) ... 10000");
     refuse_point(NAN, 1, 0, "column 'x': row 0 ... nan");
@@ -227,21 +226,21 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
     refuse(sweep, {test::make_numbers("x", std::vector<float>())}, "sweep");
     refuse(sweep, {test::make_numbers("x", std::vector<float>{1.0f})}, "column 'y' ... column");
     const std::string original = test::read_text(sweep);
-    log.expect_error_with(sweep, original.substr(0, original.size() / 2), "truncated");
-    log.expect_error_with(sweep, "", "0 bytes");
+    files.expect_error_with(sweep, original.substr(0, original.size() / 2), "truncated");
+    files.expect_error_with(sweep, "", "0 bytes");
 }
 
 TEST(Argoverse2, SaysWhatIsMissing) {
-    Argoverse2Log log("missing", {.sweeps = 1, .codec = test::FeatherCodec::none});
-    log.kind = "argoverse2:";
-    fs::remove(log.file("calibration/egovehicle_SE3_sensor.feather"));
-    log.expect_error("calibration/egovehicle_SE3_sensor.feather");
-    fs::remove(log.file("city_SE3_egovehicle.feather"));
-    log.expect_error("city_SE3_egovehicle.feather");
-    fs::remove(log.sweep(0));
-    log.expect_error("sensors/lidar ... scan");
-    fs::remove_all(log.file("sensors"));
-    log.expect_error("sensors/lidar ... folder");
+    Argoverse2Log files("missing", {.sweeps = 1, .codec = test::FeatherCodec::none});
+    files.kind = "argoverse2:";
+    fs::remove(files.file("calibration/egovehicle_SE3_sensor.feather"));
+    files.expect_error("calibration/egovehicle_SE3_sensor.feather");
+    fs::remove(files.file("city_SE3_egovehicle.feather"));
+    files.expect_error("city_SE3_egovehicle.feather");
+    fs::remove(files.sweep(0));
+    files.expect_error("sensors/lidar ... scan");
+    fs::remove_all(files.file("sensors"));
+    files.expect_error("sensors/lidar ... folder");
 }
 
 }  // namespace

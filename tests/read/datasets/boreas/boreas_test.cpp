@@ -17,20 +17,20 @@ constexpr test::StampedTolerance kBoreasTolerance{0.01, 0.011, 0.2f};
 TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const BoreasFolder data("2020-11-26-13-58");
     EXPECT_EQ(detect_kind(data.folder), "boreas");
-    const Log sequence = data.load();
-    EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
-    EXPECT_THAT(sequence.conventions, test::Names("-42.60 degrees"));
-    EXPECT_EQ(sequence.start_unix_ns, 1000 * BoreasFolder::stamp(0));
-    EXPECT_THAT(sequence.notes, testing::ElementsAre(test::Names("labels"), test::Names("128 beams ... 360"),
-                                                     test::Names("intensities ... 0.2")));
-    ASSERT_EQ(sequence.frames.size(), std::size_t(BoreasFolder::kScans));
-    const SpinningSensor& sensor = sequence.lidars[0].sensor;
+    const Log log = data.load();
+    EXPECT_EQ(log.name, "boreas-2020-11-26-13-58");
+    EXPECT_THAT(log.conventions, test::Names("-42.60 degrees"));
+    EXPECT_EQ(log.start_unix_ns, 1000 * BoreasFolder::stamp(0));
+    EXPECT_THAT(log.notes, testing::ElementsAre(test::Names("labels"), test::Names("128 beams ... 360"),
+                                                test::Names("intensities ... 0.2")));
+    ASSERT_EQ(log.frames.size(), std::size_t(BoreasFolder::kScans));
+    const SpinningSensor& sensor = log.lidars[0].sensor;
     EXPECT_NEAR(sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(sensor.clockwise);
     test::expect_elevations(data.drive, sensor);
-    test::expect_truth(data.drive, sequence, kBoreasTolerance);
-    for (std::size_t i = 0; i < sequence.frames.size(); ++i) {  // x points forward
-        const glm::dvec3 ahead = sequence.world_from_vehicle.pose[i].rotation * glm::dvec3(1, 0, 0);
+    test::expect_truth(data.drive, log, kBoreasTolerance);
+    for (std::size_t i = 0; i < log.frames.size(); ++i) {  // x points forward
+        const glm::dvec3 ahead = log.world_from_vehicle.pose[i].rotation * glm::dvec3(1, 0, 0);
         const glm::dvec3 truth =
             data.drive.compute_vehicle_pose(0.1 * double(i)).rotation * glm::dvec3(1, 0, 0);
         EXPECT_LT(glm::distance(ahead, truth), 1e-6);
@@ -44,10 +44,10 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
         const BoreasFolder data("angles", angles);
         for (const bool calibrated : {true, false}) {
             if (!calibrated) fs::remove(data.calibration());
-            const Log sequence = data.load();
-            EXPECT_THAT(sequence.notes,
+            const Log log = data.load();
+            EXPECT_THAT(log.notes,
                         testing::Contains(test::Names(std::string("angles ... ") + names[angles])));
-            test::expect_truth(data.drive, sequence, kBoreasTolerance);
+            test::expect_truth(data.drive, log, kBoreasTolerance);
         }
     }
 }
@@ -55,9 +55,9 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
 TEST(Boreas, WithoutCalibrationForwardIsWhereItDrives) {
     const BoreasFolder data("uncalibrated");
     fs::remove(data.calibration());
-    const Log sequence = data.load();
-    test::expect_truth(data.drive, sequence, kBoreasTolerance);
-    const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
+    const Log log = data.load();
+    test::expect_truth(data.drive, log, kBoreasTolerance);
+    const glm::dvec3 ahead = log.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), data.drive.heading_rad, 0.01);
 }
 
@@ -87,10 +87,10 @@ TEST(Boreas, ScansWithoutPosesAreLeftOut) {
         test::write_text(data.poses(), text);
     };
     without(0, 1);
-    const Log sequence = data.load();
-    ASSERT_EQ(sequence.frames.size(), 4u);
-    EXPECT_EQ(sequence.frames[0].index, 2);
-    EXPECT_THAT(sequence.notes,
+    const Log log = data.load();
+    ASSERT_EQ(log.frames.size(), 4u);
+    EXPECT_EQ(log.frames[0].index, 2);
+    EXPECT_THAT(log.notes,
                 testing::Contains(test::Names("2 of 6 scans ... frame 0 ... frame 1 ... lidar_poses.csv")));
     data.expect_error("lidar_poses.csv ... 0.200 ... 39.900 s ... 0.000 ... 0.100 s", {.frames = {0, 2}});
     without(2, 3);  // 0.3 s between two poses

@@ -59,10 +59,10 @@ struct StreetOfImages {
     }
 };
 
-void expect_same_scans(const Log& sequence, const Log& truth, double ray_tolerance) {
-    ASSERT_EQ(sequence.frames.size(), truth.frames.size());
+void expect_same_scans(const Log& log, const Log& truth, double ray_tolerance) {
+    ASSERT_EQ(log.frames.size(), truth.frames.size());
     for (std::size_t f = 0; f < truth.frames.size(); ++f) {
-        const Scan &a = sequence.frames[f].scan, &b = truth.frames[f].scan;
+        const Scan &a = log.frames[f].scan, &b = truth.frames[f].scan;
         ASSERT_EQ(std::tuple(a.rays.rows, a.rays.columns), std::tuple(b.rays.rows, b.rays.columns));
         EXPECT_EQ(a.rays.channel, b.rays.channel);
         EXPECT_EQ(a.intensity, b.intensity);
@@ -82,7 +82,7 @@ void expect_same_scans(const Log& sequence, const Log& truth, double ray_toleran
 
 TEST(ExrFolder, ImagesWithRaysAreReadBitByBit) {
     const StreetOfImages street("whole", [](const std::string&) { return true; });
-    expect_same_scans(load_sequence(street.folder.string(), {}), street.truth, 0.0);
+    expect_same_scans(load_log(street.folder.string(), {}), street.truth, 0.0);
 }
 
 TEST(ExrFolder, ImagesWithoutRaysTakeThoseOfTheSensor) {
@@ -90,8 +90,8 @@ TEST(ExrFolder, ImagesWithoutRaysTakeThoseOfTheSensor) {
         return name.starts_with("range") || name.starts_with("intensity");
     };
     const StreetOfImages street("sensor", keep);
-    const Log sequence = load_sequence(street.folder.string(), {});
-    expect_same_scans(sequence, street.truth, 1e-6);  // 0.1 mm at 80 m
+    const Log log = load_log(street.folder.string(), {});
+    expect_same_scans(log, street.truth, 1e-6);  // 0.1 mm at 80 m
 }
 
 TEST(ExrFolder, RowsFromBelow) {
@@ -102,7 +102,7 @@ TEST(ExrFolder, RowsFromBelow) {
         const fs::path folder =
             test::make_frame_folder("below", text.replace(text.find("\"RING\""), 6, ring));
         write_exr(folder / "scans/0.exr", 3, 4, {{"range", {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}}});
-        const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
+        const Scan scan = load_log(folder.string(), {}).frames[0].scan;
         EXPECT_NEAR(scan.rays.direction[0].z, std::sin(5.0 * kPi / 180.0), 1e-6)
             << "row 0 is the highest beam in either case";
         return scan.range_m;
@@ -117,11 +117,11 @@ TEST(ExrFolder, TheSensorThatAFileNames) {
     const RayTable rays = make_rays(sensor);
     const std::vector<float> range(rays.size(), 12.0f);
     write_exr(folder / "scans/0.exr", 16, 180, {{"range", range}}, {{"sensor", "VLP-16:180x10"}});
-    const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
+    const Scan scan = load_log(folder.string(), {}).frames[0].scan;
     EXPECT_TRUE(scan.rays.direction == rays.direction && scan.rays.origin == rays.origin &&
                 scan.rays.channel == rays.channel);
     write_exr(folder / "scans/0.exr", 16, 180, {{"range", range}}, {{"sensor", "/etc/passwd.csv"}});
-    EXPECT_THROW(load_sequence(folder.string(), {}), DataError)
+    EXPECT_THROW(load_log(folder.string(), {}), DataError)
         << "a file of the user's is not read because an image says so";
 }
 
@@ -157,7 +157,7 @@ TEST(ExrFolder, ImagesOfOtherPrograms) {
             file.setFrameBuffer(buffer);
             file.writePixels(1);
         }
-        const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
+        const Scan scan = load_log(folder.string(), {}).frames[0].scan;
         ASSERT_EQ(scan.range_m.size(), std::size_t(n));
         for (std::size_t i = 1; i < std::size_t(n); ++i) {
             ASSERT_EQ(scan.range_m[i], float(i % 2048) / 32.0f) << i;

@@ -63,7 +63,7 @@ TEST(OtherPrograms, NpyWithNamedFields) {
 TEST(OtherPrograms, Las) {
     const auto scan = [](const test::FilePoints& points) { return test::las(points, 100.0); };
     expect_street({"las", "las", scan, kStamped}, 1e-6);
-    const auto complaint = [](const PointLog& log) { return test::find_load_error(log.folder.string()); };
+    const auto complaint = [](const PointLog& files) { return test::find_load_error(files.folder.string()); };
     const auto survey = [](test::FilePoints points) {
         for (test::FilePoint& p : points) p.point_m.x += 500.0f;
         return test::las(points);
@@ -76,10 +76,10 @@ TEST(OtherPrograms, Las) {
 }
 
 TEST(OtherPrograms, NotesIntensitiesThatAreAllTheSame) {
-    const PointLog log("constant", "bin", test::bin, kRings);
-    for (std::size_t i = 0; i < log.street.frames.size(); ++i)
-        log.change_points(i, [](test::FilePoint& p) { p.intensity = 0.5f; });
-    EXPECT_THAT(log.load().notes, testing::Contains(test::Names("intensities ... 0.5")));
+    const PointLog files("constant", "bin", test::bin, kRings);
+    for (std::size_t i = 0; i < files.street.frames.size(); ++i)
+        files.change_points(i, [](test::FilePoint& p) { p.intensity = 0.5f; });
+    EXPECT_THAT(files.load().notes, testing::Contains(test::Names("intensities ... 0.5")));
 }
 
 TEST(OtherPrograms, NamesTheToolForOtherFormats) {
@@ -109,8 +109,8 @@ std::string make_mounting(const Pose& turned) {
 }
 
 TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
-    const PointLog log("conventions", "bin", test::bin, kRings);
-    const PoseTrack& truth = log.street.world_from_vehicle;
+    const PointLog files("conventions", "bin", test::bin, kRings);
+    const PoseTrack& truth = files.street.world_from_vehicle;
     // The poses begin before the scans, because their convention needs a long motion.
     const auto write = [&](const auto& numbers) {
         std::string text;
@@ -119,18 +119,18 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
             for (const double v : numbers(truth.pose_at(t_s))) text += fmt::format(" {:.15f}", v);
             text += "\n";
         }
-        test::write_text(log.folder / "poses.txt", text);
+        test::write_text(files.folder / "poses.txt", text);
     };
     const auto expect = [&](const std::string& note, const Pose& of_vehicle) {
-        const Log sequence = log.load();
-        const PoseTrack world = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
+        const Log log = files.load();
+        const PoseTrack world = shift_track(log.world_from_vehicle, log.world_offset_m);
         for (std::size_t i = 0; i < world.pose.size(); ++i) {
             const Pose off = inverse(truth.pose[i] * of_vehicle) * world.pose[i];
             EXPECT_LT(glm::length(off.translation), 1e-6) << note;
             EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9) << note;
         }
         const auto named = testing::Contains(test::Names("poses ... " + note));
-        EXPECT_EQ(testing::Value(sequence.notes, named), !note.empty()) << note;
+        EXPECT_EQ(testing::Value(log.notes, named), !note.empty()) << note;
     };
     using Numbers = std::vector<double>;
     const auto w_first = [](const Pose& p) {
@@ -159,7 +159,7 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
     // The poses of a vehicle that drives backwards look like inverse poses. The reader
     // must decide by the scans.
     const Pose backwards{glm::dquat(0.0, 0.0, 0.0, 1.0), {}};
-    log.put_head(kRings + make_mounting(backwards));
+    files.put_head(kRings + make_mounting(backwards));
     write([&](const Pose& p) { return w_first(p * backwards); });
     expect("", backwards);
 }
@@ -167,11 +167,11 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
 TEST(OtherPrograms, TheScansDecideTheOrderOfQuaternions) {
     // The street is driven in four directions, forward and backward. The mounting of the
     // LiDAR says where the front of the vehicle is.
-    const PointLog log("orders", "bin", test::bin, kRings);
-    const PoseTrack& truth = log.street.world_from_vehicle;
+    const PointLog files("orders", "bin", test::bin, kRings);
+    const PoseTrack& truth = files.street.world_from_vehicle;
     for (const bool is_backward : {false, true}) {
         const Pose front{is_backward ? glm::dquat(0, 0, 0, 1) : glm::dquat(1, 0, 0, 0), {}};
-        log.put_head(kRings + make_mounting(front));
+        files.put_head(kRings + make_mounting(front));
         for (const double heading_deg : {0.0, 90.0, 180.0, 270.0})
             for (const bool is_scalar_last : {false, true}) {
                 const Pose turned{make_rotation(heading_deg * kPi / 180.0, 0, 0), {}};
@@ -182,30 +182,29 @@ TEST(OtherPrograms, TheScansDecideTheOrderOfQuaternions) {
                     text += is_scalar_last ? fmt::format(" {} {} {} {}\n", q.x, q.y, q.z, q.w)
                                            : fmt::format(" {} {} {} {}\n", q.w, q.x, q.y, q.z);
                 }
-                test::write_text(log.folder / "poses.txt", text);
-                const Log sequence = log.load();
-                const Pose off =
-                    inverse(turned * truth.pose[2] * front) * sequence.world_from_vehicle.pose[2];
+                test::write_text(files.folder / "poses.txt", text);
+                const Log log = files.load();
+                const Pose off = inverse(turned * truth.pose[2] * front) * log.world_from_vehicle.pose[2];
                 EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9)
                     << heading_deg << " degrees, backward " << is_backward << ", w last " << is_scalar_last;
-                EXPECT_EQ(testing::Value(sequence.notes, testing::Contains(testing::HasSubstr("poses.txt"))),
+                EXPECT_EQ(testing::Value(log.notes, testing::Contains(testing::HasSubstr("poses.txt"))),
                           is_scalar_last);
             }
     }
 }
 
 TEST(OtherPrograms, PosesWithoutTimesAreRefused) {
-    const PointLog log("untimed", "bin", test::bin, kRings);
+    const PointLog files("untimed", "bin", test::bin, kRings);
     std::string text;
     for (int i = 0; i < 4; ++i) text += fmt::format("{} 0 0 1 0 0 0\n", i);  // x y z and a quaternion
-    test::write_text(log.folder / "poses.txt", text);
-    EXPECT_THAT(test::find_load_error(log.folder.string()), test::Names("poses ... times"));
+    test::write_text(files.folder / "poses.txt", text);
+    EXPECT_THAT(test::find_load_error(files.folder.string()), test::Names("poses ... times"));
 }
 
 TEST(OtherPrograms, ATableOfTimesIsNotAScan) {
-    const PointLog log("times", "bin", test::bin, kRings);
-    test::write_text(log.folder / "scans" / "timestamps.csv", "frame,time\n0,0.0\n1,0.1\n");
-    EXPECT_EQ(log.load().frames.size(), 4u);
+    const PointLog files("times", "bin", test::bin, kRings);
+    test::write_text(files.folder / "scans" / "timestamps.csv", "frame,time\n0,0.0\n1,0.1\n");
+    EXPECT_EQ(files.load().frames.size(), 4u);
 }
 
 TEST(OtherPrograms, FindsRingsInTheOrderOfTheFile) {
@@ -217,7 +216,7 @@ TEST(OtherPrograms, FindsRingsInTheOrderOfTheFile) {
     for (int frame = 0; frame < 3; ++frame)
         fs::copy_file(drive.scan(frame), folder / "scans" / fmt::format("{}.bin", frame));
     test::write_text(folder / "sequence.json", test::make_head());
-    const Log kitti = drive.load(), plain = load_sequence(folder.string(), {.poses_file = kNoPoses});
+    const Log kitti = drive.load(), plain = load_log(folder.string(), {.poses_file = kNoPoses});
     ASSERT_EQ(plain.lidars[0].sensor.beams.size(), 64u);
     for (std::size_t b = 0; b < 64; ++b)
         EXPECT_NEAR(plain.lidars[0].sensor.beams[b].elevation_rad, drive.beams[b].elevation_rad, 0.03) << b;
@@ -235,10 +234,10 @@ TEST(OtherPrograms, InventsNoBeamsForThinnedClouds) {
             if (random() % 100 < 25) some.push_back(point);
         return test::bin(some);
     };
-    const PointLog log("thinned", "bin", thinned, test::kNoRings);
-    const Log sequence = log.load();
-    EXPECT_TRUE(sequence.lidars[0].sensor.beams.empty());
-    EXPECT_TRUE(std::ranges::any_of(sequence.notes, [](const std::string& n) {
+    const PointLog files("thinned", "bin", thinned, test::kNoRings);
+    const Log log = files.load();
+    EXPECT_TRUE(log.lidars[0].sensor.beams.empty());
+    EXPECT_TRUE(std::ranges::any_of(log.notes, [](const std::string& n) {
         return n.find("removed") != n.npos || n.find("order") != n.npos;
     }));
 }
@@ -303,13 +302,13 @@ TEST(OtherPrograms, TwoReturnsWithoutNumbers) {
     const std::function<std::string(const test::FilePoints&)> layouts[] = {in_turn, in_halves, in_blocks,
                                                                            without_repetition};
     for (std::size_t k = 0; k < std::size(layouts); ++k) {
-        const PointLog log(fmt::format("two_returns_{}", k), k == 1 ? "ply" : "pcd", layouts[k],
-                           k == 1 ? R"(, "point_times": "absolute")" : kStamped);
-        expect_street(log, 1e-6);
-        const Log sequence = log.load();
-        EXPECT_THAT(sequence.notes, testing::Contains(test::Names("two returns")));
-        for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
-            const Scan &scan = sequence.frames[f].scan, &truth = log.street.frames[f].scan;
+        const PointLog files(fmt::format("two_returns_{}", k), k == 1 ? "ply" : "pcd", layouts[k],
+                             k == 1 ? R"(, "point_times": "absolute")" : kStamped);
+        expect_street(files, 1e-6);
+        const Log log = files.load();
+        EXPECT_THAT(log.notes, testing::Contains(test::Names("two returns")));
+        for (std::size_t f = 0; f < log.frames.size(); ++f) {
+            const Scan &scan = log.frames[f].scan, &truth = files.street.frames[f].scan;
             ASSERT_EQ(scan.second_returns.size(), 1u) << k;
             for (std::size_t ray = 0, point = 0; ray < truth.range_m.size(); ++ray) {
                 const bool is_second = truth.range_m[ray] > 0.0f && point++ % 7 == 0;
@@ -334,18 +333,18 @@ TEST(OtherPrograms, NpzWithPoints) {
                          make_array("time", {points.size()}, times.data(), times.size())});
         return test::read_text(file);
     };
-    const PointLog log("npz_points", "npz", npz, R"(, "point_times": "absolute")");
-    expect_street(log, 1e-6);
+    const PointLog files("npz_points", "npz", npz, R"(, "point_times": "absolute")");
+    expect_street(files, 1e-6);
     const float number = 1.0f;
-    for (const fs::path& file : fs::directory_iterator(log.folder / "scans"))
+    for (const fs::path& file : fs::directory_iterator(files.folder / "scans"))
         write_npz(file, {make_array("depth", {1}, &number, 1)});
     EXPECT_THAT(
-        test::find_load_error(log.folder.string()),
+        test::find_load_error(files.folder.string()),
         testing::AllOf(test::Names("depth ... 'points'"), testing::Not(testing::HasSubstr("skip_broken"))));
     const std::vector<float> six(60, 1.0f);
-    for (const fs::path& file : fs::directory_iterator(log.folder / "scans"))
+    for (const fs::path& file : fs::directory_iterator(files.folder / "scans"))
         write_npz(file, {make_array("points", {10, 6}, six.data(), six.size())});
-    EXPECT_THAT(test::find_load_error(log.folder.string()),
+    EXPECT_THAT(test::find_load_error(files.folder.string()),
                 testing::AllOf(test::Names("dimension ... 6 ... \"columns\" ... sequence.json"),
                                testing::Not(testing::HasSubstr("skip_broken"))));
 }
@@ -359,12 +358,12 @@ TEST(OtherPrograms, Float32TimesAndNegativeIntensities) {
                 bytes.append(reinterpret_cast<const char*>(&v), sizeof v);
         return bytes;
     };
-    const PointLog log("float_times", "bin", bytes_of,
-                       R"(, "columns": ["x", "y", "z", "intensity", "ring", "time"], "intensity_max": 1,
+    const PointLog files("float_times", "bin", bytes_of,
+                         R"(, "columns": ["x", "y", "z", "intensity", "ring", "time"], "intensity_max": 1,
                            "point_times": "absolute")");
-    const Log sequence = log.load();
+    const Log log = files.load();
     for (const char* note : {"precision", "azimuths", "-0.25"})
-        EXPECT_THAT(sequence.notes, testing::Contains(test::Names(note)));
+        EXPECT_THAT(log.notes, testing::Contains(test::Names(note)));
 }
 
 TEST(OtherPrograms, PointsOfWrongTimeAreSkipped) {
@@ -372,10 +371,10 @@ TEST(OtherPrograms, PointsOfWrongTimeAreSkipped) {
         for (std::size_t i = 0; i < 20; ++i) points[i].time_s += i % 2 == 0 ? 0.7 : 4.288;
         return test::make_pcd_binary(points);
     };
-    const PointLog log("late_points", "pcd", late, kStamped);
-    const Log sequence = log.load();
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("80 points ... 4")));
-    for (const Frame& frame : sequence.frames)
+    const PointLog files("late_points", "pcd", late, kStamped);
+    const Log log = files.load();
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("80 points ... 4")));
+    for (const Frame& frame : log.frames)
         for (const float t_s : frame.scan.rays.time_offset_s) EXPECT_LT(std::abs(t_s), 0.06f);
 }
 
@@ -392,8 +391,8 @@ TEST(OtherPrograms, NamesThePackedPointsOfNclt) {
         }
         return bytes;
     };
-    const PointLog log("nclt", "bin", nclt, "");
-    EXPECT_THAT(test::find_load_error(log.folder.string()), test::Names("NCLT ... uint16 ... laser"));
+    const PointLog files("nclt", "bin", nclt, "");
+    EXPECT_THAT(test::find_load_error(files.folder.string()), test::Names("NCLT ... uint16 ... laser"));
 }
 
 }  // namespace

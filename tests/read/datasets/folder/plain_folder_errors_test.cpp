@@ -48,7 +48,7 @@ protected:
         expect("sequence.json", text, parts, options);
     }
     Log load(const DatasetOptions& options = {}) const {
-        return load_sequence("folder:" + folder.string(), options);
+        return load_log("folder:" + folder.string(), options);
     }
     std::string load_notes() const { return test::join_lines(load().notes); }
     std::string with(const std::string& members) const {
@@ -264,9 +264,9 @@ TEST_F(FolderDamage, PoseTimesInWrongUnitAreNoted) {
 
 TEST_F(FolderDamage, DamagedPosesThatAreNotUsedAreNoError) {
     put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
-    const Log log = load({.poses_file = kNoPoses});
-    EXPECT_EQ(log.frames.size(), 2u);
-    EXPECT_THAT(test::join_lines(log.notes), test::Names("poses.txt ... 1 ... boxes"));
+    const Log files = load({.poses_file = kNoPoses});
+    EXPECT_EQ(files.frames.size(), 2u);
+    EXPECT_THAT(test::join_lines(files.notes), test::Names("poses.txt ... 1 ... boxes"));
 }
 
 TEST_F(FolderDamage, FilesBesideTheScans) {

@@ -29,40 +29,39 @@ Log make_rich_street() {
     return street;
 }
 
-void expect_same_poses(const PoseTrack& sequence, const PoseTrack& truth, double tolerance_m) {
-    EXPECT_EQ(sequence.time_s, truth.time_s);
-    ASSERT_EQ(sequence.pose.size(), truth.pose.size());
+void expect_same_poses(const PoseTrack& log, const PoseTrack& truth, double tolerance_m) {
+    EXPECT_EQ(log.time_s, truth.time_s);
+    ASSERT_EQ(log.pose.size(), truth.pose.size());
     for (std::size_t k = 0; k < truth.pose.size(); ++k) {
-        EXPECT_LT(glm::distance(sequence.pose[k].translation, truth.pose[k].translation), tolerance_m);
-        EXPECT_NEAR(std::abs(glm::dot(sequence.pose[k].rotation, truth.pose[k].rotation)), 1.0, 1e-12);
+        EXPECT_LT(glm::distance(log.pose[k].translation, truth.pose[k].translation), tolerance_m);
+        EXPECT_NEAR(std::abs(glm::dot(log.pose[k].rotation, truth.pose[k].rotation)), 1.0, 1e-12);
     }
 }
 
-void expect_same_log(const Log& sequence, const Log& truth) {
-    EXPECT_EQ(sequence.name, truth.name);
-    EXPECT_EQ(sequence.conventions, truth.conventions);
-    EXPECT_EQ(sequence.start_unix_ns, truth.start_unix_ns);
+void expect_same_log(const Log& log, const Log& truth) {
+    EXPECT_EQ(log.name, truth.name);
+    EXPECT_EQ(log.conventions, truth.conventions);
+    EXPECT_EQ(log.start_unix_ns, truth.start_unix_ns);
     const auto list_saved_notes = [](Notes notes) {
         std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
         return notes;
     };
-    EXPECT_EQ(list_saved_notes(sequence.notes), list_saved_notes(truth.notes));
-    EXPECT_EQ(sequence.rolling_shutter, truth.rolling_shutter);
-    EXPECT_EQ(sequence.world_offset_m, truth.world_offset_m);
-    ASSERT_EQ(sequence.georeference.has_value(), truth.georeference.has_value());
+    EXPECT_EQ(list_saved_notes(log.notes), list_saved_notes(truth.notes));
+    EXPECT_EQ(log.rolling_shutter, truth.rolling_shutter);
+    EXPECT_EQ(log.world_offset_m, truth.world_offset_m);
+    ASSERT_EQ(log.georeference.has_value(), truth.georeference.has_value());
     if (truth.georeference) {
-        EXPECT_EQ(sequence.georeference->point_m, truth.georeference->point_m);
+        EXPECT_EQ(log.georeference->point_m, truth.georeference->point_m);
     }
     // The positions are 5000 km from the origin, so the tolerance is the last digit.
-    expect_same_poses(sequence.world_from_vehicle, truth.world_from_vehicle, 2e-9);
-    ASSERT_EQ(sequence.lidars.size(), truth.lidars.size());
+    expect_same_poses(log.world_from_vehicle, truth.world_from_vehicle, 2e-9);
+    ASSERT_EQ(log.lidars.size(), truth.lidars.size());
     for (std::size_t l = 0; l < truth.lidars.size(); ++l) {
-        EXPECT_EQ(sequence.lidars[l].name, truth.lidars[l].name);
-        EXPECT_EQ(sequence.lidars[l].vehicle_from_sensor.translation,
+        EXPECT_EQ(log.lidars[l].name, truth.lidars[l].name);
+        EXPECT_EQ(log.lidars[l].vehicle_from_sensor.translation,
                   truth.lidars[l].vehicle_from_sensor.translation);
-        EXPECT_EQ(sequence.lidars[l].vehicle_from_sensor.rotation,
-                  truth.lidars[l].vehicle_from_sensor.rotation);
-        const SpinningSensor &a = sequence.lidars[l].sensor, &b = truth.lidars[l].sensor;
+        EXPECT_EQ(log.lidars[l].vehicle_from_sensor.rotation, truth.lidars[l].vehicle_from_sensor.rotation);
+        const SpinningSensor &a = log.lidars[l].sensor, &b = truth.lidars[l].sensor;
         EXPECT_EQ(a.name, b.name);
         EXPECT_EQ(
             std::tuple(a.columns, a.period_s, a.clockwise, a.min_range_m, a.max_range_m, a.divergence_rad),
@@ -77,19 +76,19 @@ void expect_same_log(const Log& sequence, const Log& truth) {
                 std::tuple(b.beams[k].origin_offset_m, b.beams[k].origin_up_m, b.beams[k].origin_left_m));
         }
     }
-    ASSERT_EQ(sequence.boxes.size(), truth.boxes.size());
+    ASSERT_EQ(log.boxes.size(), truth.boxes.size());
     for (std::size_t k = 0; k < truth.boxes.size(); ++k) {
-        EXPECT_EQ(sequence.boxes[k].id, truth.boxes[k].id);
-        EXPECT_EQ(sequence.boxes[k].category, truth.boxes[k].category);
-        EXPECT_EQ(sequence.boxes[k].size_m, truth.boxes[k].size_m);
-        expect_same_poses(sequence.boxes[k].world_from_box, truth.boxes[k].world_from_box, 2e-9);
+        EXPECT_EQ(log.boxes[k].id, truth.boxes[k].id);
+        EXPECT_EQ(log.boxes[k].category, truth.boxes[k].category);
+        EXPECT_EQ(log.boxes[k].size_m, truth.boxes[k].size_m);
+        expect_same_poses(log.boxes[k].world_from_box, truth.boxes[k].world_from_box, 2e-9);
     }
 }
 
-void expect_same_scans(const Log& sequence, const Log& truth) {
-    ASSERT_EQ(sequence.frames.size(), truth.frames.size());
+void expect_same_scans(const Log& log, const Log& truth) {
+    ASSERT_EQ(log.frames.size(), truth.frames.size());
     for (std::size_t i = 0; i < truth.frames.size(); ++i) {
-        const Frame &a = sequence.frames[i], &b = truth.frames[i];
+        const Frame &a = log.frames[i], &b = truth.frames[i];
         EXPECT_EQ(std::tuple(a.index, a.time_s, a.lidar), std::tuple(b.index, b.time_s, b.lidar));
         EXPECT_EQ(std::tuple(a.scan.rays.rows, a.scan.rays.columns, a.scan.rays.divergence_rad),
                   std::tuple(b.scan.rays.rows, b.scan.rays.columns, b.scan.rays.divergence_rad));
@@ -110,9 +109,9 @@ void expect_same_scans(const Log& sequence, const Log& truth) {
     }
 }
 
-fs::path save(const std::string& name, const Log& log) {
+fs::path save(const std::string& name, const Log& files) {
     const fs::path folder = make_fresh_folder_path(name);
-    save_folder(log, folder);
+    save_folder(files, folder);
     return folder;
 }
 
@@ -121,16 +120,16 @@ TEST(SaveFolder, IsReadAsTheSameLog) {
     ASSERT_FALSE(street.boxes.empty());
     const fs::path folder = save("saved", street);
     EXPECT_EQ(detect_kind(folder), "folder");
-    const Log sequence = load_sequence(folder.string(), {});
-    expect_same_log(sequence, street);
-    expect_same_scans(sequence, street);
+    const Log log = load_log(folder.string(), {});
+    expect_same_log(log, street);
+    expect_same_scans(log, street);
 }
 
 TEST(SaveFolder, KeepsADrive) {
     const Log truth = test::KittiDrive("to_folder").load();
-    const Log sequence = load_sequence(save("drive", truth).string(), {});
-    expect_same_log(sequence, truth);
-    expect_same_scans(sequence, truth);
+    const Log log = load_log(save("drive", truth).string(), {});
+    expect_same_log(log, truth);
+    expect_same_scans(log, truth);
 }
 
 TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
@@ -138,11 +137,11 @@ TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
     street.lidars[0].sensor = {
         .name = "flash", .beams = {}, .columns = 0, .period_s = 0.0, .max_range_m = 60.0};
     const fs::path folder = save("flash", street);
-    const Log sequence = load_sequence(folder.string(), {});
-    EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
-    EXPECT_EQ(sequence.lidars[0].sensor.max_range_m, 60.0);
+    const Log log = load_log(folder.string(), {});
+    EXPECT_EQ(log.lidars[0].sensor.period_s, 0.0);
+    EXPECT_EQ(log.lidars[0].sensor.max_range_m, 60.0);
     for (Frame& frame : street.frames) limit_ranges(frame.scan, {0.0, 60.0});
-    expect_same_scans(sequence, street);
+    expect_same_scans(log, street);
 }
 
 TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
@@ -155,11 +154,11 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
         if (frame.lidar == test::kRosette) frame.scan.rays.ray_divergence_rad = table.ray_divergence_rad;
     street.lidars[test::kRosette].pattern = table;
     const fs::path folder = save("rig", street);
-    const Log sequence = load_sequence(folder.string(), {});
-    ASSERT_EQ(sequence.lidars.size(), 4u);
-    EXPECT_FALSE(sequence.lidars[test::kSpinning].pattern);
+    const Log log = load_log(folder.string(), {});
+    ASSERT_EQ(log.lidars.size(), 4u);
+    EXPECT_FALSE(log.lidars[test::kSpinning].pattern);
     for (const int l : {test::kWindow, test::kRosette, test::kTwoReturns}) {
-        const RayTable a = make_lidar_rays(sequence.lidars[std::size_t(l)], 0.7),
+        const RayTable a = make_lidar_rays(log.lidars[std::size_t(l)], 0.7),
                        b = make_lidar_rays(street.lidars[std::size_t(l)], 0.7);
         ASSERT_EQ(a.size(), b.size());
         for (std::size_t i = 0; i < a.size(); ++i)
@@ -167,10 +166,10 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
         EXPECT_EQ(a.time_offset_s, b.time_offset_s);
         EXPECT_FLOAT_EQ(a.divergence_rad, b.divergence_rad);
         EXPECT_EQ(a.ray_divergence_rad, b.ray_divergence_rad);
-        EXPECT_EQ(sequence.lidars[std::size_t(l)].sensor.max_range_m,
+        EXPECT_EQ(log.lidars[std::size_t(l)].sensor.max_range_m,
                   street.lidars[std::size_t(l)].sensor.max_range_m);
     }
-    expect_same_scans(sequence, street);
+    expect_same_scans(log, street);
 }
 
 TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
@@ -180,11 +179,11 @@ TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
     const std::vector<NamedArray> arrays = read_npz((folder / "scans/000001.npz").string());
     EXPECT_EQ(find_array(arrays, "deskewed")->to_floats(), std::vector<float>{1.0f});
     EXPECT_EQ(find_array(arrays, "time")->to_floats(), std::vector<float>(8 * 64, 0.0f));
-    const Log sequence = load_sequence(folder.string(), {});
-    EXPECT_FALSE(sequence.rolling_shutter);
-    EXPECT_FALSE(sequence.frames[1].start);
+    const Log log = load_log(folder.string(), {});
+    EXPECT_FALSE(log.rolling_shutter);
+    EXPECT_FALSE(log.frames[1].start);
     for (std::size_t i = 0; i < 8 * 64; ++i) {
-        const auto loaded_return = locate_return(sequence, sequence.frames[1], i),
+        const auto loaded_return = locate_return(log, log.frames[1], i),
                    truth = locate_return(street, street.frames[1], i);
         ASSERT_LT(glm::distance(loaded_return.point_m, truth.point_m), 1e-6) << i;
     }
@@ -192,17 +191,17 @@ TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
     const std::string head = test::read_text(folder / "sequence.json");
     test::write_text(folder / "sequence.json",
                      std::regex_replace(head, statement, "\"motion_compensated\": false"));
-    EXPECT_THROW(load_sequence(folder.string(), {}), DataError) << "each scan says it too";
+    EXPECT_THROW(load_log(folder.string(), {}), DataError) << "each scan says it too";
 }
 
 TEST(SaveFolder, ReadsARangeOfItsFrames) {
     const Log street = make_rich_street();
     const fs::path folder = save("range", street);
-    const Log sequence = load_sequence(folder.string(), {.frames = {1, 3}});
-    ASSERT_EQ(sequence.frames.size(), 4u);
-    EXPECT_EQ(sequence.frames[0].scan.range_m, street.frames[2].scan.range_m);
-    for (const BoxTrack& box : sequence.boxes)
-        EXPECT_TRUE(sequence.world_from_vehicle.contains_time(box.world_from_box.time_s.front())) << box.id;
+    const Log log = load_log(folder.string(), {.frames = {1, 3}});
+    ASSERT_EQ(log.frames.size(), 4u);
+    EXPECT_EQ(log.frames[0].scan.range_m, street.frames[2].scan.range_m);
+    for (const BoxTrack& box : log.boxes)
+        EXPECT_TRUE(log.world_from_vehicle.contains_time(box.world_from_box.time_s.front())) << box.id;
 }
 
 std::vector<std::string> list_names_in(const fs::path& folder) {
@@ -214,15 +213,15 @@ std::vector<std::string> list_names_in(const fs::path& folder) {
 TEST(SaveFolder, ReadsAFewScansForALook) {
     const Log street = make_rich_street();  // five frames of each LiDAR
     const fs::path folder = save("looked_at", street);
-    const Log sequence = load_sequence(folder.string(), {.max_scans = 2});
-    expect_same_log(sequence, street);
-    ASSERT_EQ(sequence.frames.size(), street.frames.size());
+    const Log log = load_log(folder.string(), {.max_scans = 2});
+    expect_same_log(log, street);
+    ASSERT_EQ(log.frames.size(), street.frames.size());
     for (std::size_t i = 0; i < street.frames.size(); ++i) {
         const int of_its_lidar = int(i) / 2;
-        EXPECT_EQ(sequence.frames[i].time_s, street.frames[i].time_s);
+        EXPECT_EQ(log.frames[i].time_s, street.frames[i].time_s);
         if (of_its_lidar == 0 || of_its_lidar == 2)
-            EXPECT_TRUE(sequence.frames[i].scan.range_m == street.frames[i].scan.range_m) << i;
-        else EXPECT_TRUE(sequence.frames[i].scan.range_m.empty()) << i;
+            EXPECT_TRUE(log.frames[i].scan.range_m == street.frames[i].scan.range_m) << i;
+        else EXPECT_TRUE(log.frames[i].scan.range_m.empty()) << i;
     }
 }
 
@@ -240,14 +239,14 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
     EXPECT_THROW(save_folder(street, folder), UsageError);
     options.overwrite = true;
     EXPECT_THROW(save_folder(street, folder, options), Error);
-    EXPECT_EQ(load_sequence(folder.string(), {}).frames.size(), street.frames.size())
+    EXPECT_EQ(load_log(folder.string(), {}).frames.size(), street.frames.size())
         << "the old one stays until the new one is complete";
     Log shorter = street;
     shorter.frames.resize(2);
     shorter.world_from_vehicle.time_s.resize(1);
     shorter.world_from_vehicle.pose.resize(1);
     save_folder(shorter, folder, {.overwrite = true});
-    EXPECT_EQ(load_sequence(folder.string(), {}).frames.size(), 2u);
+    EXPECT_EQ(load_log(folder.string(), {}).frames.size(), 2u);
     EXPECT_EQ(list_names_in(folder.parent_path()), std::vector<std::string>{"saved"});
     test::write_text(folder.parent_path() / "other/thing.txt", "x");
     EXPECT_THROW(save_folder(street, folder.parent_path() / "other", {.overwrite = true}), UsageError);
@@ -278,9 +277,9 @@ TEST(PlainFolder, Formats) {
         1e-6);
 }
 TEST(PlainFolder, BinWithRingsAlone) {
-    const PointLog log("bin", "bin", test::bin, test::kRings);
-    expect_street(log, 1e-4);  // the sensor faces forward at the frame's time
-    EXPECT_THAT(log.load().notes.back(), test::Names("times"));
+    const PointLog files("bin", "bin", test::bin, test::kRings);
+    expect_street(files, 1e-4);  // the sensor faces forward at the frame's time
+    EXPECT_THAT(files.load().notes.back(), test::Names("times"));
 }
 
 TEST(PlainFolder, FindsRingsThatPointsDoNotHave) {
@@ -288,12 +287,12 @@ TEST(PlainFolder, FindsRingsThatPointsDoNotHave) {
 }
 
 TEST(PlainFolder, TakesBeamsThatAreGiven) {
-    const PointLog log("given", "bin", test::bin, test::kRings);
+    const PointLog files("given", "bin", test::bin, test::kRings);
     const std::string sensor = fmt::format(R"(, "lidars": [{{"sensor": {{{}, "columns": 360}}}}])",
-                                           test::make_beams(log.street.lidars[0].sensor));
+                                           test::make_beams(files.street.lidars[0].sensor));
     for (const char* columns : {test::kRings, test::kNoRings}) {
-        log.put_head(columns + sensor);
-        expect_street(log, 1e-4);
+        files.put_head(columns + sensor);
+        expect_street(files, 1e-4);
     }
 }
 
@@ -309,66 +308,67 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
     for (const Beam& beam : street.lidars[0].sensor.beams)
         csv += fmt::format("{}\n", beam.elevation_rad * 180.0 / kPi);
     test::write_text(fs::path(testing::TempDir()) / "relidar_folder/lowest/beams.csv", csv);
-    const PointLog log(
+    const PointLog files(
         "lowest_given", "bin", mirror_vertically,
         R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"ring_0": "lowest", "sensor": "../lowest/beams.csv:360x10"}])");
-    expect_street(log, 1e-4);
+    expect_street(files, 1e-4);
 }
 
 TEST(PlainFolder, ALogWithSomeOfTheScansKeepsTheSweepTime) {
-    const PointLog log("thinned", "bin", test::bin, "");
+    const PointLog files("thinned", "bin", test::bin, "");
     // The LiDAR makes 10 revolutions per second. Every fifth scan was kept.
-    log.put_head(test::kRings, 2.0);
-    EXPECT_NEAR(log.load().lidars[0].sensor.period_s, 0.1, 1e-9);
-    log.put_head(test::kRings, 5.0);
-    EXPECT_NEAR(log.load().lidars[0].sensor.period_s, 0.2, 1e-9);
+    files.put_head(test::kRings, 2.0);
+    EXPECT_NEAR(files.load().lidars[0].sensor.period_s, 0.1, 1e-9);
+    files.put_head(test::kRings, 5.0);
+    EXPECT_NEAR(files.load().lidars[0].sensor.period_s, 0.2, 1e-9);
 }
 
 TEST(PlainFolder, AScanWithoutValidPointsHasOnlyDroppedRays) {
     for (const std::size_t empty : {0, 2}) {
-        const PointLog log("empty_scan", "bin", test::bin, test::kRings);
-        log.change_points(empty, [](test::FilePoint& p) { p.point_m = glm::vec3(NAN); });
-        const Log sequence = log.load();
-        ASSERT_EQ(sequence.frames.size(), 4u);
-        EXPECT_EQ(sequence.frames[empty].scan.count_returns(), 0u);
-        EXPECT_EQ(sequence.frames[empty].scan.range_m.size(), sequence.frames[1].scan.range_m.size());
-        EXPECT_THAT(sequence.notes.back(), test::Names(fmt::format("1 of 4 scans ... frame {}", empty)));
+        const PointLog files("empty_scan", "bin", test::bin, test::kRings);
+        files.change_points(empty, [](test::FilePoint& p) { p.point_m = glm::vec3(NAN); });
+        const Log log = files.load();
+        ASSERT_EQ(log.frames.size(), 4u);
+        EXPECT_EQ(log.frames[empty].scan.count_returns(), 0u);
+        EXPECT_EQ(log.frames[empty].scan.range_m.size(), log.frames[1].scan.range_m.size());
+        EXPECT_THAT(log.notes.back(), test::Names(fmt::format("1 of 4 scans ... frame {}", empty)));
     }
 }
 
 TEST(PlainFolder, ALogWithoutValidPointsIsRead) {
-    const PointLog log("no_points", "bin", test::bin, "");
-    for (std::size_t i = 0; i < log.street.frames.size(); ++i)
-        log.change_points(i, [](test::FilePoint& p) { p.point_m = glm::vec3(NAN); });
+    const PointLog files("no_points", "bin", test::bin, "");
+    for (std::size_t i = 0; i < files.street.frames.size(); ++i)
+        files.change_points(i, [](test::FilePoint& p) { p.point_m = glm::vec3(NAN); });
     for (const bool has_sensor : {false, true}) {
-        log.put_head(std::string(test::kRings) +
-                     (has_sensor ? R"(, "lidars": [{"sensor": "VLP-16:900x10"}])" : ""));
-        const Log sequence = log.load();
-        ASSERT_EQ(sequence.frames.size(), 4u);
-        EXPECT_EQ(sequence.frames[1].scan.count_returns(), 0u);
-        EXPECT_EQ(sequence.frames[1].scan.range_m.size(), has_sensor ? 16u * 900u : 0u);
-        EXPECT_THAT(test::join_lines(sequence.notes), test::Names("finite"));
+        files.put_head(std::string(test::kRings) +
+                       (has_sensor ? R"(, "lidars": [{"sensor": "VLP-16:900x10"}])" : ""));
+        const Log log = files.load();
+        ASSERT_EQ(log.frames.size(), 4u);
+        EXPECT_EQ(log.frames[1].scan.count_returns(), 0u);
+        EXPECT_EQ(log.frames[1].scan.range_m.size(), has_sensor ? 16u * 900u : 0u);
+        EXPECT_THAT(test::join_lines(log.notes), test::Names("finite"));
     }
 }
 
 TEST(PlainFolder, NotesASensorThatDoesNotFitThePoints) {
-    const PointLog log("other_sensor", "bin", test::bin, "");
-    log.put_head(test::kNoRings + fmt::format(R"(, "lidars": [{{"sensor": {{{}, "columns": 360}}}}])",
-                                              test::make_beams(log.street.lidars[0].sensor, 0.1)));
-    EXPECT_THAT(test::join_lines(log.load().notes), test::Names("skipped ... sequence.json"));
+    const PointLog files("other_sensor", "bin", test::bin, "");
+    files.put_head(test::kNoRings + fmt::format(R"(, "lidars": [{{"sensor": {{{}, "columns": 360}}}}])",
+                                                test::make_beams(files.street.lidars[0].sensor, 0.1)));
+    EXPECT_THAT(test::join_lines(files.load().notes), test::Names("skipped ... sequence.json"));
 }
 
 TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
-    const PointLog log("solid", "bin", test::bin,
-                       R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"spins": false}])");
-    const Log sequence = log.load();
-    EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
-    for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
-        const test::FilePoints points = PointLog::points(log.street.frames[f]);
-        ASSERT_EQ(sequence.frames[f].scan.rays.rows, 1);
-        ASSERT_EQ(sequence.frames[f].scan.range_m.size(), points.size());
+    const PointLog files(
+        "solid", "bin", test::bin,
+        R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"spins": false}])");
+    const Log log = files.load();
+    EXPECT_EQ(log.lidars[0].sensor.period_s, 0.0);
+    for (std::size_t f = 0; f < log.frames.size(); ++f) {
+        const test::FilePoints points = PointLog::points(files.street.frames[f]);
+        ASSERT_EQ(log.frames[f].scan.rays.rows, 1);
+        ASSERT_EQ(log.frames[f].scan.range_m.size(), points.size());
         for (std::size_t i = 0; i < points.size(); ++i)
-            EXPECT_LT(glm::distance(sequence.frames[f].scan.return_point(i), points[i].point_m), 1e-4f);
+            EXPECT_LT(glm::distance(log.frames[f].scan.return_point(i), points[i].point_m), 1e-4f);
     }
 }
 
@@ -385,16 +385,16 @@ TEST(PlainFolder, UndoesMotionCompensation) {
                 glm::vec3(inverse(track.pose_at(t_s)) * (track.pose_at(p.time_s) * glm::dvec3(p.point_m)));
         return test::npy(points);
     };
-    const PointLog log(
+    const PointLog files(
         "compensated", "npy", compensated,
         R"(, "motion_compensated": true, "columns": ["x", "y", "z", "intensity", "ring", "timestamp"], "point_times": "absolute")");
-    expect_street(log, 1e-6);
-    EXPECT_TRUE(log.load().rolling_shutter);
-    EXPECT_FALSE(log.load({.poses_file = kNoPoses}).rolling_shutter);
+    expect_street(files, 1e-6);
+    EXPECT_TRUE(files.load().rolling_shutter);
+    EXPECT_FALSE(files.load({.poses_file = kNoPoses}).rolling_shutter);
 }
 
 TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
-    const PointLog log("track", "bin", test::bin, test::kRings);
+    const PointLog files("track", "bin", test::bin, test::kRings);
     // The first log has columns by position. The second log has a byte-order mark and the
     // column names of TUM, whose quaternions have w last.
     const std::string logs[] = {
@@ -405,9 +405,9 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
         "0.25 2 3 0 0 0 0.3826834323650898 0.9238795325112867\n0.35 2 3 1 0 0 0.7071067811865476 "
         "0.7071067811865476\n"};
     for (const std::string& poses : logs) {
-        test::write_text(log.folder / "poses.txt", poses);
-        const Log sequence = log.load();
-        const PoseTrack world = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
+        test::write_text(files.folder / "poses.txt", poses);
+        const Log log = files.load();
+        const PoseTrack world = shift_track(log.world_from_vehicle, log.world_offset_m);
         EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
         EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);  // 0.2 s
         EXPECT_NEAR(world.pose[2].rotation.z, std::sin(kPi / 16), 1e-12) << "an eighth of a turn half way";
@@ -415,20 +415,20 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
 }
 
 TEST(PlainFolder, BoxesByFrameAndYaw) {
-    const PointLog log("boxes", "bin", test::bin, "");
-    log.put_head(test::kRings);
-    test::write_text(log.folder / "boxes.json", R"({"boxes": [
+    const PointLog files("boxes", "bin", test::bin, "");
+    files.put_head(test::kRings);
+    test::write_text(files.folder / "boxes.json", R"({"boxes": [
         {"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
         {"track": "8", "category": "Van", "time_s": 0.1, "size": [5, 2, 2], "position": [1, 9, 1], "quaternion": [1, 0, 0, 0]},
         {"track": "7", "category": "Car", "frame": 2, "size": [4, 2, 1.5], "position": [11, 1, 0.75], "yaw_deg": 90}]})");
-    const Log sequence = log.load();
-    ASSERT_EQ(sequence.boxes.size(), 2u);
-    EXPECT_EQ(sequence.boxes[0].id, "7");
-    EXPECT_EQ(sequence.boxes[0].world_from_box.time_s, (std::vector<double>{0.1, 0.2}));
-    const Pose& pose = sequence.boxes[0].world_from_box.pose[1];
-    EXPECT_LT(glm::distance(pose.translation + sequence.world_offset_m, glm::dvec3(11, 1, 0.75)), 1e-9);
+    const Log log = files.load();
+    ASSERT_EQ(log.boxes.size(), 2u);
+    EXPECT_EQ(log.boxes[0].id, "7");
+    EXPECT_EQ(log.boxes[0].world_from_box.time_s, (std::vector<double>{0.1, 0.2}));
+    const Pose& pose = log.boxes[0].world_from_box.pose[1];
+    EXPECT_LT(glm::distance(pose.translation + log.world_offset_m, glm::dvec3(11, 1, 0.75)), 1e-9);
     EXPECT_LT(glm::distance(pose.rotation * glm::dvec3(1, 0, 0), glm::dvec3(0, 1, 0)), 1e-9);
-    EXPECT_EQ(sequence.boxes[1].category, "Van");
+    EXPECT_EQ(log.boxes[1].category, "Van");
 }
 
 TEST(PlainFolder, ReadsRenderedScans) {
@@ -443,17 +443,17 @@ TEST(PlainFolder, ReadsRenderedScans) {
                                    make_array("directions", {1, 2, 3}, directions.data(), 6),
                                    single_text("sensor", "native")};
     write_npz(folder / "scans/frame_000000.npz", arrays);
-    const Scan scan = load_sequence(folder.string(), {}).frames[0].scan;
+    const Scan scan = load_log(folder.string(), {}).frames[0].scan;
     EXPECT_EQ(scan.range_m, (ScanArray<float>{5.5f, 0.0f}));
     EXPECT_EQ(scan.intensity, (ScanArray<float>{0.25f, 0.0f}));
     std::vector<NamedArray> without_number = arrays;
     without_number.push_back(make_array("divergence_rad", {0}, range.data(), 0));
     write_npz(folder / "scans/frame_000000.npz", without_number);
-    EXPECT_THROW(load_sequence(folder.string(), {}), DataError) << "no number";
+    EXPECT_THROW(load_log(folder.string(), {}), DataError) << "no number";
     const std::int32_t deskewed = 1;
     arrays.push_back(make_array("deskewed", {}, &deskewed, 1));
     write_npz(folder / "scans/frame_000000.npz", arrays);
-    EXPECT_THROW(load_sequence(folder.string(), {}), DataError);
+    EXPECT_THROW(load_log(folder.string(), {}), DataError);
 }
 
 }  // namespace

@@ -45,8 +45,8 @@ inline fs::path make_frame_folder(const std::string& name, const std::string& he
 }
 
 /// Adds second returns `farther_m` behind every `step`-th first return.
-inline void add_second_returns(Log& log, std::size_t step, float farther_m, float max_range_m) {
-    for (Frame& frame : log.frames) {
+inline void add_second_returns(Log& files, std::size_t step, float farther_m, float max_range_m) {
+    for (Frame& frame : files.frames) {
         Scan& scan = frame.scan;
         const std::vector<float> none(scan.range_m.size());
         AdditionalReturns& second = scan.second_returns.emplace_back(AdditionalReturns{none, none});
@@ -83,7 +83,7 @@ struct PointLog {
     void put_head(const std::string& members, double rate_hz = 10.0) const {
         write_text(folder / "sequence.json", make_head(members, rate_hz));
     }
-    Log load(const DatasetOptions& options = {}) const { return load_sequence(folder.string(), options); }
+    Log load(const DatasetOptions& options = {}) const { return load_log(folder.string(), options); }
     void change_points(std::size_t frame, const std::function<void(FilePoint&)>& change) const {
         FilePoints changed = points(street.frames[frame]);
         for (FilePoint& point : changed) change(point);
@@ -107,10 +107,10 @@ struct Difference {
 };
 
 /// The image must have the rows and columns of the street.
-inline Difference measure_difference(const Log& sequence, const Log& street) {
+inline Difference measure_difference(const Log& log, const Log& street) {
     Difference worst;
     for (std::size_t f = 0; f < street.frames.size(); ++f) {
-        const Scan &a = sequence.frames[f].scan, &b = street.frames[f].scan;
+        const Scan &a = log.frames[f].scan, &b = street.frames[f].scan;
         if (a.range_m.size() != b.range_m.size()) return {1e9, 1e9, 1e9, 1e9, 0, 0};
         for (std::size_t i = 0; i < b.range_m.size(); ++i) {
             worst.drops += (a.range_m[i] > 0.0f) != (b.range_m[i] > 0.0f);
@@ -121,17 +121,17 @@ inline Difference measure_difference(const Log& sequence, const Log& street) {
             if (a.range_m[i] == 0.0f || b.range_m[i] == 0.0f) continue;
             worst.intensity = std::max(worst.intensity, double(std::abs(a.intensity[i] - b.intensity[i])));
             worst.point_m =
-                std::max(worst.point_m, glm::distance(locate_return(sequence, sequence.frames[f], i).point_m,
+                std::max(worst.point_m, glm::distance(locate_return(log, log.frames[f], i).point_m,
                                                       locate_return(street, street.frames[f], i).point_m));
         }
     }
     return worst;
 }
 
-inline void expect_street(const PointLog& log, double time_s) {
-    const Log sequence = load_sequence(log.folder.string(), {});
-    ASSERT_EQ(sequence.lidars[0].sensor.columns, log.street.lidars[0].sensor.columns);
-    const Difference worst = measure_difference(sequence, log.street);
+inline void expect_street(const PointLog& files, double time_s) {
+    const Log log = load_log(files.folder.string(), {});
+    ASSERT_EQ(log.lidars[0].sensor.columns, files.street.lidars[0].sensor.columns);
+    const Difference worst = measure_difference(log, files.street);
     EXPECT_LT(worst.point_m, 1e-4);
     EXPECT_LT(worst.time_s, time_s);
     EXPECT_LT(worst.intensity, 0.51 / 255.0);

@@ -101,7 +101,7 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
                        {.sequence = "0003"});
     const fs::path drive = kitti.folder / "data_3d_raw" / Kitti360Folder::kDrive;
     EXPECT_THAT(test::find_load_error(drive.string()), Names("drive ... KITTI-360"));
-    EXPECT_THROW(load_sequence(kitti.sweeps.folder.string(), {.sequence = "0001"}), UsageError);
+    EXPECT_THROW(load_log(kitti.sweeps.folder.string(), {.sequence = "0001"}), UsageError);
 }
 
 TEST(Kitti360, FramesWithoutAPose) {

@@ -15,8 +15,8 @@ using test::write_text;
 
 TEST(KittiErrors, MissingFoldersAndFiles) {
     const KittiDrive drive("missing");
-    EXPECT_THROW(load_sequence("/nowhere/drive", {}), DataError);
-    EXPECT_THROW(load_sequence("kitti_raw:/nowhere/drive", {}), DataError);
+    EXPECT_THROW(load_log("/nowhere/drive", {}), DataError);
+    EXPECT_THROW(load_log("kitti_raw:/nowhere/drive", {}), DataError);
     fs::remove(drive.file("oxts/data/0000000001.txt"));
     drive.expect_error("oxts/data/0000000001.txt");
     fs::remove_all(drive.file("oxts"));

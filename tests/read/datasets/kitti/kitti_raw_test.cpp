@@ -265,7 +265,7 @@ protected:
 };
 
 TEST_F(KittiRawReal, Drive) {
-    const Log log = load_sequence(folder, {.frames = {0, 12}});
+    const Log log = load_log(folder, {.frames = {0, 12}});
     EXPECT_NEAR(log.lidars[0].sensor.columns, 2152, 10);
     EXPECT_NEAR(log.lidars[0].sensor.beams[0].elevation_rad * 180 / kPi, 1.94, 0.02);
     EXPECT_NEAR(log.lidars[0].sensor.beams[63].elevation_rad * 180 / kPi, -25.0, 0.05);
@@ -309,7 +309,7 @@ std::size_t count_missing(const std::vector<glm::vec3>& points, std::vector<glm:
 }
 
 TEST_F(KittiRawReal, ScansKeepTheirPointsOnTheNativeGrid) {
-    const Log log = load_sequence(folder, {.frames = {0, 12}});
+    const Log log = load_log(folder, {.frames = {0, 12}});
     std::size_t all = 0, lost_native = 0, lost_grid = 0;
     for (const Frame& frame : log.frames) {
         const fs::path file =
@@ -332,7 +332,7 @@ TEST_F(KittiRawReal, ScansKeepTheirPointsOnTheNativeGrid) {
 /// The setting render.follow_sweeps needs this property: if the nominal rays of each
 /// firing are rotated together, they equal the rays of the scan, including dropped rays.
 TEST_F(KittiRawReal, ScansHaveOneAzimuthAFiring) {
-    const Log log = load_sequence(folder, {.frames = {40, 44}});
+    const Log log = load_log(folder, {.frames = {40, 44}});
     for (const Frame& frame : log.frames) {
         const SpinningSensor& sensor = log.lidar_of(frame).sensor;
         const RayTable nominal = make_rays(sensor),

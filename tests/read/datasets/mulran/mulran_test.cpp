@@ -19,31 +19,31 @@ constexpr test::StampedTolerance kMulranTolerance{0.002, 0.003, 200.0f / 255.0f}
 TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     const MulranFolder data("KAIST01");
     EXPECT_EQ(detect_kind(data.folder), "mulran");
-    const Log sequence = data.load();
-    EXPECT_EQ(sequence.name, "MulRan KAIST01");
-    EXPECT_EQ(sequence.start_unix_ns, MulranFolder::stamp(0)) << "of the skipped scan";
-    ASSERT_EQ(sequence.frames.size(), 3u);
-    EXPECT_EQ(sequence.frames[0].index, 1);
-    EXPECT_THAT(sequence.notes,
+    const Log log = data.load();
+    EXPECT_EQ(log.name, "MulRan KAIST01");
+    EXPECT_EQ(log.start_unix_ns, MulranFolder::stamp(0)) << "of the skipped scan";
+    ASSERT_EQ(log.frames.size(), 3u);
+    EXPECT_EQ(log.frames[0].index, 1);
+    EXPECT_THAT(log.notes,
                 testing::Contains(test::Names("1 of 4 scans ... frame 0 ... frame 0 ... global_pose.csv")));
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("64 beams ... 1024")));
-    const Lidar& lidar = sequence.lidars[0];
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("64 beams ... 1024")));
+    const Lidar& lidar = log.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(lidar.sensor.clockwise);
     test::expect_elevations(data.drive, lidar.sensor);
     const glm::dvec3 ahead = lidar.vehicle_from_sensor.rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x) * 180.0 / kPi, -0.3346, 1e-4) << "looks forward";
     EXPECT_LT(glm::distance(lidar.vehicle_from_sensor.translation, glm::dvec3(1.7042, -0.021, 1.8047)), 1e-9);
-    test::expect_truth(data.drive, sequence, kMulranTolerance);
+    test::expect_truth(data.drive, log, kMulranTolerance);
 }
 
 TEST(Mulran, PointsRingByRingInTheOtherFolder) {
     const MulranFolder data("ring-by-ring", false);
     fs::create_directory(data.folder / "sensor_data");
     fs::rename(data.folder / "Ouster", data.folder / "sensor_data/Ouster");
-    const Log sequence = data.load();
-    ASSERT_EQ(sequence.frames.size(), 3u);
-    test::expect_truth(data.drive, sequence, kMulranTolerance);
+    const Log log = data.load();
+    ASSERT_EQ(log.frames.size(), 3u);
+    test::expect_truth(data.drive, log, kMulranTolerance);
 }
 
 TEST(Mulran, FramesAndOtherPoses) {
@@ -79,8 +79,8 @@ TEST(Mulran, BrightPointsAreCut) {
     const float bright = 6000.0f;
     bytes.replace(12, 4, reinterpret_cast<const char*>(&bright), 4);
     test::write_text(data.scan(1), bytes);
-    const Log sequence = data.load();
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("6000 ... 200 ... 99.5th")));
+    const Log log = data.load();
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("6000 ... 200 ... 99.5th")));
 }
 
 TEST(Mulran, SaysWhichFileAndLineIsWrong) {

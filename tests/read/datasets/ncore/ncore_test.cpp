@@ -18,7 +18,7 @@ constexpr double kAngle_rad = 0.001 * kPi / 180.0;
 constexpr double kRange_m = 1e-3, kTime_s = 1.1e-6;
 
 const Log& load_street_log() {
-    static const Log street = load_sequence(test::ncore_fixture("street").string(), {});
+    static const Log street = load_log(test::ncore_fixture("street").string(), {});
     return street;
 }
 
@@ -104,10 +104,10 @@ void expect_street(const Log& log) {
 TEST(Ncore, ArchivesOfNcoresWriter) {
     const std::string file = test::ncore_fixture("street.ncore4.zarr.itar").string();
     EXPECT_EQ(detect_kind(file), "ncore");
-    const Log log = load_sequence(file, {});
+    const Log log = load_log(file, {});
     expect_street(log);
     EXPECT_THAT(log.notes, testing::Contains(test::Names("cameras (camera_front) ... org.relidar.unknown")));
-    const Log part = load_sequence(file, {.frames = {1, 3}, .lidars = {"top"}});
+    const Log part = load_log(file, {.frames = {1, 3}, .lidars = {"top"}});
     ASSERT_EQ(part.frames.size(), 2u);
     EXPECT_EQ(part.frames[0].index, 1);
     EXPECT_EQ(part.frames[0].scan.count_returns(), log.frames[2].scan.count_returns());
@@ -117,10 +117,10 @@ TEST(Ncore, Folders) {
     const NcoreFolder data("ncore-folders");
     expect_street(data.load());
     EXPECT_EQ(detect_kind(data.main), "ncore");
-    expect_street(load_sequence(data.main.string(), {}));
+    expect_street(load_log(data.main.string(), {}));
     fs::rename(data.main, data.folder / "blob");
     fs::create_directory_symlink("blob", data.main);
-    expect_street(load_sequence(data.main.string() + "/", {}));
+    expect_street(load_log(data.main.string() + "/", {}));
     fs::copy(data.folder / "blob", data.folder / "other.ncore4.zarr", fs::copy_options::recursive);
     data.expect_error("log ... other ... street");
 }

@@ -12,15 +12,15 @@ namespace {
 namespace fs = std::filesystem;
 using test::OnceFolder;
 
-void expect_once_truth(const OnceFolder& data, const Log& sequence) {
-    const PoseTrack track = sequence.lidar_track(0);
+void expect_once_truth(const OnceFolder& data, const Log& log) {
+    const PoseTrack track = log.lidar_track(0);
     const Pose yard_from_once{data.drive.compute_lidar_pose_at(0.0)};
-    for (const Frame& frame : sequence.frames) {
+    for (const Frame& frame : log.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.5, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
-            const auto [origin_m, point_m] = test::place_return(sequence, track, frame, i);
+            const auto [origin_m, point_m] = test::place_return(log, track, frame, i);
             const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
             // Poses are interpolated linearly over half a second. At 8 m/s and 0.1 rad/s
             // the error is 14 mm at half a scan before the first pose.
@@ -38,27 +38,27 @@ void expect_once_truth(const OnceFolder& data, const Log& sequence) {
 TEST(Once, EveryReturnIsOnTheYard) {
     const OnceFolder data("000076");
     EXPECT_EQ(detect_kind(data.folder), "once");
-    const Log sequence = data.load();
-    EXPECT_EQ(sequence.start_unix_ns, 1000000 * OnceFolder::stamp(0));
-    EXPECT_EQ(sequence.name, "ONCE 000076");
-    ASSERT_EQ(sequence.frames.size(), std::size_t(OnceFolder::kScans));
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 boxes ... 1")));
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("40 beams ... 900")));
-    EXPECT_TRUE(sequence.boxes.empty());
-    const SpinningSensor& sensor = sequence.lidars[0].sensor;
+    const Log log = data.load();
+    EXPECT_EQ(log.start_unix_ns, 1000000 * OnceFolder::stamp(0));
+    EXPECT_EQ(log.name, "ONCE 000076");
+    ASSERT_EQ(log.frames.size(), std::size_t(OnceFolder::kScans));
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("1 boxes ... 1")));
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("40 beams ... 900")));
+    EXPECT_TRUE(log.boxes.empty());
+    const SpinningSensor& sensor = log.lidars[0].sensor;
     EXPECT_EQ(sensor.period_s, 0.1) << "a turn, not the time between scans";
     test::expect_elevations(data.drive, sensor);
-    expect_once_truth(data, sequence);
+    expect_once_truth(data, log);
     // x points forward. In this world frame, x points left and y points backward.
-    const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
+    const glm::dvec3 ahead = log.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_LT(glm::distance(ahead, glm::dvec3(0, -1, 0)), 1e-9);
 }
 
 TEST(Once, QuaternionsWithWFirst) {
     const OnceFolder data("w-first", true);
-    const Log sequence = data.load();
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("quaternions ... w")));
-    expect_once_truth(data, sequence);
+    const Log log = data.load();
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("quaternions ... w")));
+    expect_once_truth(data, log);
 }
 
 TEST(Once, PointsOfAnotherLidar) {
@@ -74,9 +74,9 @@ TEST(Once, PointsOfAnotherLidar) {
         }
         test::write_text(data.scan(s), bytes);
     }
-    const Log sequence = data.load();
-    EXPECT_EQ(sequence.frames[0].scan.rays.rows, 1) << "rays without order";
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("dropped")));
+    const Log log = data.load();
+    EXPECT_EQ(log.frames[0].scan.rays.rows, 1) << "rays without order";
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("dropped")));
 }
 
 TEST(Once, FramesOtherPosesAndMissingScans) {

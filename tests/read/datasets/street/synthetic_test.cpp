@@ -330,12 +330,12 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     save_street(options, folder);
     EXPECT_EQ(detect_kind(folder), "synthetic");
     EXPECT_THROW(files.load({.sequence = "kd1"}), UsageError) << "a street is one drive";
-    EXPECT_THROW(load_sequence("synthetc:" + folder.string(), {}), UsageError);
-    EXPECT_THROW(load_sequence((folder / "none").string(), {}), DataError);
-    EXPECT_THROW(load_sequence("synthetic:" + (folder / "none").string(), {}), DataError);
+    EXPECT_THROW(load_log("synthetc:" + folder.string(), {}), UsageError);
+    EXPECT_THROW(load_log((folder / "none").string(), {}), DataError);
+    EXPECT_THROW(load_log("synthetic:" + (folder / "none").string(), {}), DataError);
     const Log made = make_street_log(options);
     DatasetOptions range{.frames = {1, 3}};
-    const Log read = load_sequence("synthetic:" + folder.string(), range);
+    const Log read = load_log("synthetic:" + folder.string(), range);
     ASSERT_EQ(read.frames.size(), 2u);
     EXPECT_EQ(read.frames[1].index, 2);
     EXPECT_EQ(read.world_offset_m, made.world_offset_m);

@@ -16,7 +16,7 @@ using test::WaymoPixel;
 using test::WaymoSegment;
 
 Log read(const WaymoSegment& segment, const DatasetOptions& options = {}) {
-    return load_sequence(segment.file.string(), options);
+    return load_log(segment.file.string(), options);
 }
 
 TEST(Waymo, IntensitiesAreCutOrSquashed) {

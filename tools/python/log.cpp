@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sequence.hpp"
+#include "log.hpp"
 
 #include <algorithm>
 
@@ -22,21 +22,21 @@ namespace fs = std::filesystem;
 /// log and its maximum range, because a training continues with them.
 LoadedLog load_dataset(const std::string& path, const std::optional<Config>& config,
                        const PythonProgressCallback& progress) {
-    LoadedLog log{.sequence = {}, .config = config.value_or(make_preset("default"))};
-    log.config.dataset.path = absolute_dataset(path);
+    LoadedLog loaded{.log = {}, .config = config.value_or(make_preset("default"))};
+    loaded.config.dataset.path = absolute_dataset(path);
     // Releases the interpreter. The progress callback locks it again for each call.
     const py::gil_scoped_release gil_released;
     constexpr int kMibShift = 20;
-    limit_scan_memory(std::uint64_t(log.config.dataset.memory_mib) << kMibShift);
-    log.sequence = load_log(log.config, wrap_progress(progress));
-    log.config = with_max_range(std::move(log.config), log.sequence);
-    return log;
+    limit_scan_memory(std::uint64_t(loaded.config.dataset.memory_mib) << kMibShift);
+    loaded.log = load_log(loaded.config, wrap_progress(progress));
+    loaded.config = with_max_range(std::move(loaded.config), loaded.log);
+    return loaded;
 }
 
 /// Returns the scan of a frame as arrays: its rays, ranges, intensities and classes.
 /// @param position  index of the frame in the log
-py::dict make_scan_dict(const LoadedLog& log, IntegerArgument<int, "position"> position) {
-    const std::vector<Frame>& frames = log.sequence.frames;
+py::dict make_scan_dict(const LoadedLog& loaded, IntegerArgument<int, "position"> position) {
+    const std::vector<Frame>& frames = loaded.log.frames;
     if (position < 0 || position >= static_cast<int>(frames.size()))
         throw py::index_error(
             fmt::format("cannot read scan {}: the log has only {} frames", position.value, frames.size()));
@@ -44,7 +44,7 @@ py::dict make_scan_dict(const LoadedLog& log, IntegerArgument<int, "position"> p
     const NumpyShape image_shape{scan.rays.rows, scan.rays.columns};
     RayTable rays = scan.rays;
     // In a motion-compensated log, all points of a frame have the same time.
-    if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
+    if (!loaded.log.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
     py::dict dict = to_array_dict(rays);
     dict["range"] = move_to_numpy<float>(to_vector(scan.range_m), image_shape);
     dict["intensity"] = move_to_numpy<float>(to_vector(scan.intensity), image_shape);
@@ -69,40 +69,39 @@ void save_street(const fs::path& folder, IntegerArgument<std::uint64_t, "seed"> 
 
 }  // namespace
 
-py::object frame_times(const Log& sequence) {
+py::object frame_times(const Log& log) {
     std::vector<double> times;
-    for (const Frame& frame : sequence.frames) times.push_back(frame.time_s);
-    return move_to_numpy<double>(std::move(times), {static_cast<py::ssize_t>(sequence.frames.size())});
+    for (const Frame& frame : log.frames) times.push_back(frame.time_s);
+    return move_to_numpy<double>(std::move(times), {static_cast<py::ssize_t>(log.frames.size())});
 }
 
-py::object frame_numbers(const Log& sequence) {
+py::object frame_numbers(const Log& log) {
     std::vector<std::int32_t> numbers;
-    for (const Frame& frame : sequence.frames) numbers.push_back(frame.index);
-    return move_to_numpy<std::int32_t>(std::move(numbers),
-                                       {static_cast<py::ssize_t>(sequence.frames.size())});
+    for (const Frame& frame : log.frames) numbers.push_back(frame.index);
+    return move_to_numpy<std::int32_t>(std::move(numbers), {static_cast<py::ssize_t>(log.frames.size())});
 }
 
-py::object vehicle_path(const Log& sequence) {
-    return to_times_and_poses(sequence.world_from_vehicle, sequence.world_offset_m);
+py::object vehicle_path(const Log& log) {
+    return to_times_and_poses(log.world_from_vehicle, log.world_offset_m);
 }
 
-py::object world_offset(const Log& sequence) {
-    const glm::dvec3& offset = sequence.world_offset_m;
+py::object world_offset(const Log& log) {
+    const glm::dvec3& offset = log.world_offset_m;
     return move_to_numpy<double>(std::vector{offset.x, offset.y, offset.z}, {3});
 }
 
-py::object mounting_dict(const Log& sequence) {
+py::object mounting_dict(const Log& log) {
     py::dict mountings;
-    for (const Lidar& lidar : sequence.lidars)
+    for (const Lidar& lidar : log.lidars)
         mountings[py::str(lidar.name)] = pose_matrix(lidar.vehicle_from_sensor);
     return mountings;
 }
 
-py::object track_dict(const Log& sequence, const std::vector<std::string>& track_names) {
+py::object track_dict(const Log& log, const std::vector<std::string>& track_names) {
     py::dict actors;
-    for (const BoxTrack& box : sequence.boxes)
+    for (const BoxTrack& box : log.boxes)
         if (std::find(track_names.begin(), track_names.end(), box.id) != track_names.end())
-            actors[py::str(box.id)] = to_times_and_poses(box.world_from_box, sequence.world_offset_m);
+            actors[py::str(box.id)] = to_times_and_poses(box.world_from_box, log.world_offset_m);
     return actors;
 }
 
@@ -110,44 +109,43 @@ namespace {
 
 void bind_class(py::module_& module) {
     py::class_<LoadedLog> type(
-        module, "Sequence",
-        "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_sequence() creates it.");
-    bind_sequence_properties(type, [](const LoadedLog& log) -> const Log& { return log.sequence; });
+        module, "Log",
+        "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_log() creates it.");
+    bind_log_properties(type, [](const LoadedLog& loaded) -> const Log& { return loaded.log; });
     type.def(
-            "__len__", [](const LoadedLog& log) { return log.sequence.frames.size(); }, "Number of frames.")
-        .def_property_readonly("name", [](const LoadedLog& log) { return log.sequence.name; })
+            "__len__", [](const LoadedLog& loaded) { return loaded.log.frames.size(); }, "Number of frames.")
+        .def_property_readonly("name", [](const LoadedLog& loaded) { return loaded.log.name; })
         .def_property_readonly(
             "notes",
-            [](const LoadedLog& log) {
-                return std::vector<std::string>(log.sequence.notes.begin(), log.sequence.notes.end());
+            [](const LoadedLog& loaded) {
+                return std::vector<std::string>(loaded.log.notes.begin(), loaded.log.notes.end());
             },
             "Notes about missing data of the log, one line each.")
         .def_property_readonly(
-            "config", [](const LoadedLog& log) { return log.config; },
+            "config", [](const LoadedLog& loaded) { return loaded.config; },
             "A copy of the settings that the log was read with.")
         .def_property_readonly(
             "frame_lidars",
-            [](const LoadedLog& log) {
+            [](const LoadedLog& loaded) {
                 py::list names;
-                for (const Frame& frame : log.sequence.frames)
-                    names.append(log.sequence.lidar_of(frame).name);
+                for (const Frame& frame : loaded.log.frames) names.append(loaded.log.lidar_of(frame).name);
                 return names;
             },
             "Name of the LiDAR of each frame, [frames]. Empty if the log has a single LiDAR.")
         .def_property_readonly(
             "boxes",
-            [](const LoadedLog& log) {
+            [](const LoadedLog& loaded) {
                 std::vector<std::string> track_names;
-                for (const BoxTrack& box : log.sequence.boxes) track_names.push_back(box.id);
-                return track_dict(log.sequence, track_names);
+                for (const BoxTrack& box : loaded.log.boxes) track_names.push_back(box.id);
+                return track_dict(loaded.log, track_names);
             },
             "Trajectories of the labelled boxes in the dataset's world: dict of track -> (times [n], poses "
             "[n,4,4]) of the centre of the box.")
         .def(
             "rays",
-            [](const LoadedLog& log, const std::string& lidar) {
+            [](const LoadedLog& loaded, const std::string& lidar) {
                 return to_array_dict(
-                    make_rays(log.sequence.lidars[std::size_t(find_lidar(log.sequence, lidar))].sensor));
+                    make_rays(loaded.log.lidars[std::size_t(find_lidar(loaded.log, lidar))].sensor));
             },
             py::arg("lidar") = "",
             "Returns the rays of a LiDAR of the log, in the form of relidar.rays(). Empty name: the first "
@@ -155,13 +153,13 @@ void bind_class(py::module_& module) {
         .def("scan", &make_scan_dict, py::arg("position"),
              "Returns the scan of a frame: the arrays of relidar.rays(), range [rows,columns] float32 "
              "(metres along the ray, 0 if dropped) and intensity.\n\n"
-             "position: 0 ... len(sequence) - 1");
+             "position: 0 ... len(log) - 1");
 }
 
-/// Adds relidar.load_sequence() and relidar.save_street().
+/// Adds relidar.load_log() and relidar.save_street().
 void bind_loading(py::module_& module) {
     module.def(
-        "load_sequence",
+        "load_log",
         [](const py::object& dataset, const std::optional<Config>& config,
            const PythonProgressCallback& progress) {
             return load_dataset(py::module_::import("os").attr("fspath")(dataset).cast<std::string>(), config,
@@ -176,14 +174,14 @@ void bind_loading(py::module_& module) {
     module.def("save_street", &save_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1,
                py::arg("n_frames") = 30, py::arg("rows") = 32, py::arg("columns") = 512,
                py::arg("people") = false, py::arg("gait") = false,
-               "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads. "
+               "Writes the synthetic street of `relidar demo` as a folder that load_log() reads. "
                "people: add pedestrians and a\n"
                "cyclist. gait: let the pedestrians also swing their legs and arms.");
 }
 
 }  // namespace
 
-void bind_sequence(py::module_& module) {
+void bind_log(py::module_& module) {
     bind_class(module);
     bind_loading(module);
 }

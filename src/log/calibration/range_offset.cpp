@@ -4,13 +4,13 @@
 #include <cmath>
 #include <optional>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "base/geometry/cell_key.hpp"
 #include "base/geometry/cell_numbers.hpp"
 #include "base/geometry/plane_sums.hpp"
 #include "base/joined.hpp"
-#include "log/sequence/beam_returns.hpp"
+#include "log/calibration/beam_returns.hpp"
 
 namespace relidar {
 namespace {
@@ -42,9 +42,9 @@ struct RawReturn {
     std::uint32_t beam;
 };
 
-std::vector<RawReturn> world_returns(const Log& sequence, const Frame& frame) {
+std::vector<RawReturn> world_returns(const Log& log, const Frame& frame) {
     std::vector<RawReturn> result;
-    visit_returns(sequence, frame, kMaxRange_m, [&](std::size_t, std::uint16_t beam, const WorldReturn& w) {
+    visit_returns(log, frame, kMaxRange_m, [&](std::size_t, std::uint16_t beam, const WorldReturn& w) {
         result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), beam});
     });
     return result;
@@ -53,10 +53,9 @@ std::vector<RawReturn> world_returns(const Log& sequence, const Frame& frame) {
 /// Returns the returns in each grid cell. Cells with fewer than kMinReturns are empty,
 /// because so few returns determine no plane. Range offsets do not change the cell of a
 /// return, because they are very small.
-std::vector<std::vector<RawReturn>> group_by_cell(const Log& sequence, const std::vector<int>& frames) {
-    const std::vector<RawReturn> all =
-        concatenate(map_frames(sequence, frames, kMostOffsetReturns,
-                               [&](const Frame& frame) { return world_returns(sequence, frame); }));
+std::vector<std::vector<RawReturn>> group_by_cell(const Log& log, const std::vector<int>& frames) {
+    const std::vector<RawReturn> all = concatenate(map_frames(
+        log, frames, kMostOffsetReturns, [&](const Frame& frame) { return world_returns(log, frame); }));
     const CellItemLists indices_by_cell(number_cells(all.size(), [&](std::size_t index) {
         return grid_key(glm::dvec3(all[index].point_m), kPlaneCell_m);
     }));
@@ -152,10 +151,10 @@ BeamResiduals sum_residuals(const std::vector<std::vector<RawReturn>>& cells,
 
 }  // namespace
 
-RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& frame_indices) {
-    const std::vector<Beam*> beams = list_beams(sequence);
+RangeCalibrationResult calibrate_ranges(Log& log, const std::vector<int>& frame_indices) {
+    const std::vector<Beam*> beams = list_beams(log);
     for (Beam* beam : beams) beam->range_offset_m = 0.0;
-    const std::vector<std::vector<RawReturn>> cells = group_by_cell(sequence, frame_indices);
+    const std::vector<std::vector<RawReturn>> cells = group_by_cell(log, frame_indices);
     RangeCalibrationResult result;
     if (cells.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);

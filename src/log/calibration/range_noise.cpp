@@ -9,11 +9,11 @@
 #include <cmath>
 #include <utility>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "base/geometry/incidence.hpp"
 #include "base/median.hpp"
-#include "log/sequence/beam_returns.hpp"
+#include "log/calibration/beam_returns.hpp"
 
 namespace relidar {
 namespace {
@@ -117,15 +117,15 @@ double RangeNoiseTable::lookup_sigma_m(double measured_range_m, double incidence
     return sigma_m[find_bin(range_m, measured_range_m) * cosine.size() + find_bin(cosine, incidence_cosine)];
 }
 
-std::size_t calibrate_noise(Log& sequence, const std::vector<int>& frame_indices) {
+std::size_t calibrate_noise(Log& log, const std::vector<int>& frame_indices) {
     std::size_t n_used_returns = 0;
-    for (std::size_t lidar = 0; lidar < sequence.lidars.size(); ++lidar) {
+    for (std::size_t lidar = 0; lidar < log.lidars.size(); ++lidar) {
         std::vector<int> frames_of_lidar;
         for (const int frame : frame_indices)
-            if (sequence.frames[std::size_t(frame)].lidar == int(lidar)) frames_of_lidar.push_back(frame);
+            if (log.frames[std::size_t(frame)].lidar == int(lidar)) frames_of_lidar.push_back(frame);
         const auto [noise, n_returns] =
-            estimate_noise(map_frames(sequence, frames_of_lidar, kMostNoiseReturns, collect_differences));
-        sequence.lidars[lidar].range_noise = noise;
+            estimate_noise(map_frames(log, frames_of_lidar, kMostNoiseReturns, collect_differences));
+        log.lidars[lidar].range_noise = noise;
         n_used_returns += n_returns;
     }
     return n_used_returns;

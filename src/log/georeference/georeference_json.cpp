@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/sequence/georeference_json.hpp"
+#include "log/georeference/georeference_json.hpp"
 
 #include <cmath>
 

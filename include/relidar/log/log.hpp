@@ -96,7 +96,7 @@ struct Frame {
     /// Azimuth and time at the start of the sweep; empty if both have default values
     std::optional<SweepStart> start = {};
     /// [columns] radians, measured minus nominal azimuth of the head at each firing.
-    /// Empty if there is none. load_sequence() sets it.
+    /// Empty if there is none. load_log() sets it.
     std::vector<float> azimuth_shift_rad = {};
 };
 
@@ -175,7 +175,7 @@ inline constexpr double kMoverMargin_m = 0.2;
 /// A tracked box. Box frame: origin at the centre, x along the length, y along the width,
 /// z up.
 struct BoxTrack {
-    std::string id;          ///< unique in the sequence
+    std::string id;          ///< unique in the log
     std::string category;    ///< class name in the dataset, or kDiscoveredCategory
     glm::dvec3 size_m{0.0};  ///< length, width, height
     PoseTrack world_from_box;
@@ -274,14 +274,14 @@ struct Log {
 };
 
 /// Returns the box with this id, or null if there is none or the id is empty.
-const BoxTrack* find_box(const Log& sequence, const std::string& box_id);
+const BoxTrack* find_box(const Log& log, const std::string& box_id);
 
 /// Returns a copy of a log without its frames.
-Log strip_frames(const Log& sequence);
+Log strip_frames(const Log& log);
 
 /// Returns the index of the LiDAR with this name. An empty name gives the first LiDAR.
 /// @throws UsageError if no LiDAR has this name
-int find_lidar(const Log& sequence, const std::string& name);
+int find_lidar(const Log& log, const std::string& name);
 
 /// Returns the poses of an object that is mounted on another moving object, its carrier.
 PoseTrack mount_track(PoseTrack carrier_track, const Pose& carrier_from_mounted);
@@ -294,7 +294,7 @@ PoseTrack shift_track(PoseTrack track, const glm::dvec3& offset_m);
 
 /// Replaces the poses of the vehicle. The times must stay the same. Boxes keep their
 /// poses relative to the vehicle.
-void set_trajectory(Log& sequence, PoseTrack world_from_vehicle);
+void set_trajectory(Log& log, PoseTrack world_from_vehicle);
 
 /// A ray in the world frame at the time at which it was fired.
 struct WorldRay {
@@ -303,7 +303,7 @@ struct WorldRay {
 };
 
 /// Converts a ray of a frame to the world frame, with the sensor pose at the ray's firing
-/// time if the sequence has a rolling shutter.
+/// time if the log has a rolling shutter.
 /// @param time_s  reference time of the sweep
 /// @param ray  index into `rays`
 WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
@@ -314,7 +314,7 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
 /// every direction repeatedly, or a table of rays, it is the middle of the scan. It is
 /// the `time_s` of the sweep without a rolling shutter.
 /// @param point_m [3] metres, sensor frame
-double facing_time_s(const Log& sequence, const glm::dvec3& point_m, const SweepTiming& sweep);
+double facing_time_s(const Log& log, const glm::dvec3& point_m, const SweepTiming& sweep);
 
 /// Range and intensity of the surface that a ray hit, not corrected for the incidence.
 struct SurfaceReturn {
@@ -324,7 +324,7 @@ struct SurfaceReturn {
 };
 /// @param ray  index of a ray of the frame
 /// @param index  0 for the strongest return, n for Scan::second_returns[n-1]
-SurfaceReturn surface_return(const Log& sequence, const Frame& frame, std::size_t ray, std::size_t index = 0);
+SurfaceReturn surface_return(const Log& log, const Frame& frame, std::size_t ray, std::size_t index = 0);
 
 /// End point of a returned ray in the world frame, and the firing time of the ray,
 /// without range offset and intensity response of the beam.
@@ -336,7 +336,7 @@ struct WorldReturn {
 };
 /// @param ray  index of a returned ray of the frame
 /// @param index  number of an existing return of this ray
-WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t ray, std::size_t index = 0);
+WorldReturn locate_return(const Log& log, const Frame& frame, std::size_t ray, std::size_t index = 0);
 
 /// Returns true if a point in the world frame is in any moving box at time t_s. The boxes
 /// are interpolated, enlarged by margin_m, and exist as in
@@ -366,18 +366,18 @@ struct IntensityCalibrationResult {
 /// beam, and a beam that shares no surface with others, has gain 1 and offset 0. (Not in
 /// the paper.)
 /// @param frame_indices  indices into Log::frames of the frames to use
-IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<int>& frame_indices);
+IntensityCalibrationResult calibrate_intensity(Log& log, const std::vector<int>& frame_indices);
 /// Measures the range noise of each LiDAR (Lidar::range_noise) from second differences
 /// between neighbouring firings of a beam. The scans must be in image order. A bin with
 /// fewer than 200 returns uses the value of the neighbouring bin. (Not in the paper.)
 /// @param frame_indices  indices into Log::frames of the frames to use
 /// @return number of returns that were used; 0: nothing was measured
-std::size_t calibrate_noise(Log& sequence, const std::vector<int>& frame_indices);
+std::size_t calibrate_noise(Log& log, const std::vector<int>& frame_indices);
 /// Estimates the range offset of each beam (Beam), centimetres in many datasets, from
 /// returns on the same planes in cells of 0.3 m. Their mean is 0. Offsets that make the
 /// planes less than 3 % thinner are set to 0. (Not in the paper.)
 /// @param frame_indices  indices into Log::frames of the frames to use
-RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& frame_indices);
+RangeCalibrationResult calibrate_ranges(Log& log, const std::vector<int>& frame_indices);
 
 /// Split of the frames into training and test frames.
 struct Split {
@@ -393,6 +393,6 @@ struct Split {
 /// frames, "13,26,40:45"
 /// @throws UsageError for a test_every_nth_frame of 1, for an invalid list, for a frame
 /// that does not exist or is named twice, and if no frame is left for training
-Split split_frames(const Log& sequence, int test_every_nth_frame, const std::string& test_frame_list = "");
+Split split_frames(const Log& log, int test_every_nth_frame, const std::string& test_frame_list = "");
 
 }  // namespace relidar

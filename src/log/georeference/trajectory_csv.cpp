@@ -8,7 +8,7 @@
 
 #include <fmt/format.h>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 

@@ -14,10 +14,10 @@
 
 #include <Eigen/Cholesky>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "base/parallel.hpp"
-#include "log/sequence/beam_returns.hpp"
+#include "log/calibration/beam_returns.hpp"
 
 namespace relidar {
 namespace {
@@ -385,14 +385,14 @@ double IntensityResponse::range_factor(double distance_m) const {
     return factor[right - 1] * std::pow(factor[right] / factor[right - 1], s);
 }
 
-IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<int>& frames) {
-    sequence.intensity_response = {};
-    const std::vector<Beam*> beams = list_beams(sequence);
+IntensityCalibrationResult calibrate_intensity(Log& log, const std::vector<int>& frames) {
+    log.intensity_response = {};
+    const std::vector<Beam*> beams = list_beams(log);
     for (Beam* beam : beams) {
         beam->intensity_gain = 1.0;
         beam->intensity_offset = 0.0;
     }
-    const CellReturns returns = collect_cells(sequence, frames);
+    const CellReturns returns = collect_cells(log, frames);
     IntensityCalibrationResult result;
     result.returns = returns.sorted_returns.size();
     if (returns.sorted_returns.empty()) return result;
@@ -418,7 +418,7 @@ IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<
         result.shared = result.beams = true;
     }
     result.rms_after = best.rms;
-    if (result.shared) sequence.intensity_response = best.shared;
+    if (result.shared) log.intensity_response = best.shared;
     for (std::size_t b = 0; b < n && result.beams; ++b) {
         beams[b]->intensity_gain = best.beams[b].gain;
         beams[b]->intensity_offset = best.beams[b].offset;

@@ -6,7 +6,7 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/read/dataset.hpp>
 #include "base/random.hpp"
 
@@ -25,12 +25,12 @@ double compute_brightness(const glm::dvec3& point) {
 /// frame) returns the range and the intensity of a ray.
 template <class Measure>
 Log drive(const std::vector<Beam>& beams, int n_frames, const glm::dvec3& step_m, const Measure& measure) {
-    Log sequence;
-    sequence.lidars[0].sensor.beams = beams;
-    sequence.lidars[0].sensor.columns = 1440;
-    sequence.rolling_shutter = false;
+    Log log;
+    log.lidars[0].sensor.beams = beams;
+    log.lidars[0].sensor.columns = 1440;
+    log.rolling_shutter = false;
     for (int f = 0; f < n_frames; ++f) {
-        Frame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
+        Frame frame{f, 0.1 * f, {make_rays(log.lidars[0].sensor), {}, {}}};
         const Pose pose{{1, 0, 0, 0}, double(f) * step_m + glm::dvec3(0.0, 0.0, 2.0)};
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const auto [range_m, intensity] = measure(frame.scan.rays.channel[i], pose.translation,
@@ -38,10 +38,10 @@ Log drive(const std::vector<Beam>& beams, int n_frames, const glm::dvec3& step_m
             frame.scan.range_m.push_back(float(range_m));
             frame.scan.intensity.push_back(float(intensity));
         }
-        sequence.frames.push_back(frame);
-        sequence.world_from_vehicle.append(frame.time_s, pose);
+        log.frames.push_back(frame);
+        log.world_from_vehicle.append(frame.time_s, pose);
     }
-    return sequence;
+    return log;
 }
 
 /// The sensor looks down: every beam measures the same tiles.
@@ -76,24 +76,24 @@ std::vector<Beam> make_unequal_beams() {
 
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const std::vector<Beam> truth = make_unequal_beams();
-    Log sequence = drive_over_tiles(truth, 0.01);
-    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, kAll);
+    Log log = drive_over_tiles(truth, 0.01);
+    const IntensityCalibrationResult calibration = calibrate_intensity(log, kAll);
     ASSERT_GT(calibration.returns, 2000u);
     EXPECT_GT(calibration.rms_before, 3.0 * calibration.rms_after);
     // The data do not determine a common scale and offset of all beams.
     for (const double surface : {0.3, 0.6}) {
-        const Beam &a = truth[0], &b = sequence.lidars[0].sensor.beams[0];
+        const Beam &a = truth[0], &b = log.lidars[0].sensor.beams[0];
         const double common =
             (a.intensity_gain * surface + a.intensity_offset - b.intensity_offset) / b.intensity_gain;
         for (std::size_t k = 1; k < truth.size(); ++k) {
-            const Beam& beam = sequence.lidars[0].sensor.beams[k];
+            const Beam& beam = log.lidars[0].sensor.beams[k];
             EXPECT_NEAR(beam.intensity_gain * common + beam.intensity_offset,
                         truth[k].intensity_gain * surface + truth[k].intensity_offset, 0.02)
                 << k << " at " << surface;
         }
     }
     double gain = 0.0, offset = 0.0;
-    for (const Beam& beam : sequence.lidars[0].sensor.beams) {
+    for (const Beam& beam : log.lidars[0].sensor.beams) {
         gain += beam.intensity_gain;
         offset += beam.intensity_offset;
     }
@@ -104,9 +104,9 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
 TEST(IntensityResponse, EqualLasersStayEqual) {
     std::vector<Beam> beams = make_unequal_beams();
     for (Beam& beam : beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
-    Log sequence = drive_over_tiles(beams, 0.02);
-    calibrate_intensity(sequence, kAll);
-    for (const Beam& beam : sequence.lidars[0].sensor.beams)
+    Log log = drive_over_tiles(beams, 0.02);
+    calibrate_intensity(log, kAll);
+    for (const Beam& beam : log.lidars[0].sensor.beams)
         for (const double surface : {0.3, 0.6})
             EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
 }
@@ -124,51 +124,49 @@ void expect_the_streets_fall(const IntensityResponse& calibration, double tolera
 }
 
 TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
-    Log sequence = street();
-    const IntensityCalibrationResult calibration =
-        calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    Log log = street();
+    const IntensityCalibrationResult calibration = calibrate_intensity(log, split_frames(log, 0).train);
     EXPECT_TRUE(calibration.shared);
     EXPECT_FALSE(calibration.beams);
-    for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
-    expect_the_streets_fall(sequence.intensity_response, 0.04);
+    for (const Beam& beam : log.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
+    expect_the_streets_fall(log.intensity_response, 0.04);
 }
 
 /// Intensities are reflectance * (0.3 + 0.7 cos) * 0.3 (10 m / range)^2, limited by the
 /// noise of the receiver only.
 TEST(IntensityResponse, FollowsReceivedPowerDownToTheWeakestReturns) {
-    Log sequence = street();
+    Log log = street();
     const auto power = [](double range_m) { return 100.0 / (range_m * range_m); };
-    for (Frame& frame : sequence.frames)
+    for (Frame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
             if (const double range_m = frame.scan.range_m[i]; range_m > 0.0)
                 frame.scan.intensity[i] *= float(0.3 * power(range_m) / (1.0 - range_m / 160.0));
-    calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    calibrate_intensity(log, split_frames(log, 0).train);
     for (const double range_m : {4.0, 7.0, 15.0, 20.0, 30.0, 45.0, 60.0})
-        EXPECT_NEAR(sequence.intensity_response.range_factor(range_m) / power(range_m), 1.0, 0.1) << range_m;
+        EXPECT_NEAR(log.intensity_response.range_factor(range_m) / power(range_m), 1.0, 0.1) << range_m;
 }
 
 TEST(IntensityResponse, FallAndLasersAreToldApart) {
-    Log sequence = street();
+    Log log = street();
     std::vector<double> gains;
     double mean = 0.0;
-    for (std::size_t b = 0; b < sequence.lidars[0].sensor.beams.size(); ++b) {
+    for (std::size_t b = 0; b < log.lidars[0].sensor.beams.size(); ++b) {
         gains.push_back(1.0 + 0.25 * noise(b + 5));
-        mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
+        mean += gains.back() / double(log.lidars[0].sensor.beams.size());
     }
-    for (Frame& frame : sequence.frames)
+    for (Frame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
             frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
-    const IntensityCalibrationResult calibration =
-        calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    const IntensityCalibrationResult calibration = calibrate_intensity(log, split_frames(log, 0).train);
     EXPECT_TRUE(calibration.shared && calibration.beams);
     // A beam sees the ground at a single range.
-    expect_the_streets_fall(sequence.intensity_response, 0.06);
+    expect_the_streets_fall(log.intensity_response, 0.06);
     double ratio = 0.0;  // the mean beam is weighted by returns
     for (std::size_t b = 0; b < gains.size(); ++b)
-        ratio += sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
+        ratio += log.lidars[0].sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
     // skips the first beams, which point into the sky and have few returns
     for (std::size_t b = 4; b < gains.size(); ++b)
-        EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
+        EXPECT_NEAR(log.lidars[0].sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
 }
 
 TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
@@ -185,18 +183,18 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
 }
 
 TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
-    Log sequence = drive_over_tiles(make_unequal_beams(), 0.0);
-    const Frame& frame = sequence.frames[3];
+    Log log = drive_over_tiles(make_unequal_beams(), 0.0);
+    const Frame& frame = log.frames[3];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 7) {
-        const WorldReturn w = locate_return(sequence, frame, i);
-        EXPECT_NEAR(w.intensity, surface_return(sequence, frame, i).intensity, 0.0);
-        const Beam& beam = sequence.lidars[0].sensor.beams[frame.scan.rays.channel[i]];
+        const WorldReturn w = locate_return(log, frame, i);
+        EXPECT_NEAR(w.intensity, surface_return(log, frame, i).intensity, 0.0);
+        const Beam& beam = log.lidars[0].sensor.beams[frame.scan.rays.channel[i]];
         EXPECT_NEAR(beam.intensity_gain * double(w.intensity) + beam.intensity_offset,
                     double(frame.scan.intensity[i]), 1e-6);
     }
-    const float original_intensity = surface_return(sequence, frame, 3).intensity;
-    sequence.intensity_response = {{1.0, 100.0}, {0.5, 0.5}, 0.0};
-    EXPECT_NEAR(surface_return(sequence, frame, 3).intensity, 2.0f * original_intensity, 1e-6f)
+    const float original_intensity = surface_return(log, frame, 3).intensity;
+    log.intensity_response = {{1.0, 100.0}, {0.5, 0.5}, 0.0};
+    EXPECT_NEAR(surface_return(log, frame, 3).intensity, 2.0f * original_intensity, 1e-6f)
         << "what falls to half was twice as bright";
 }
 
@@ -272,16 +270,15 @@ Log drive_through_street(bool held_out_is_garbage = false) {
 const std::vector<int> kTrain{0, 1, 2, 3, 4, 6, 7, 8, 9};
 
 TEST(RangeOffset, ComesBackFromSharedPlanes) {
-    Log sequence = drive_through_street();
-    const RangeCalibrationResult calibration = calibrate_ranges(sequence, kTrain);
+    Log log = drive_through_street();
+    const RangeCalibrationResult calibration = calibrate_ranges(log, kTrain);
     ASSERT_GT(calibration.returns, 20000u);
     EXPECT_GT(calibration.rms_before, 2.0 * calibration.rms_after);
     double mean = 0.0;
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
-        mean +=
-            (sequence.lidars[0].sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());
+        mean += (log.lidars[0].sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
-        EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].range_offset_m - mean, kOffsets_m[b], 0.008) << b;
+        EXPECT_NEAR(log.lidars[0].sensor.beams[b].range_offset_m - mean, kOffsets_m[b], 0.008) << b;
     EXPECT_NEAR(mean, 0.0, 0.02);
 }
 
@@ -295,40 +292,39 @@ TEST(RangeOffset, HeldOutFramesAreNotLookedAt) {
 }
 
 TEST(RangeOffset, ReturnsComeFromWhereTheSurfaceIs) {
-    Log sequence = drive_through_street();
+    Log log = drive_through_street();
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
-        sequence.lidars[0].sensor.beams[b].range_offset_m = kOffsets_m[b];
-    const Frame& frame = sequence.frames[2];
+        log.lidars[0].sensor.beams[b].range_offset_m = kOffsets_m[b];
+    const Frame& frame = log.frames[2];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 13) {
         if (!(frame.scan.range_m[i] > 0.0f)) continue;
-        const WorldRay ray =
-            make_world_ray(sequence.world_from_vehicle, frame.time_s, frame.scan.rays, i, false);
-        EXPECT_NEAR(glm::distance(locate_return(sequence, frame, i).point_m, ray.origin_m),
+        const WorldRay ray = make_world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, false);
+        EXPECT_NEAR(glm::distance(locate_return(log, frame, i).point_m, ray.origin_m),
                     cast(ray.origin_m, ray.direction), 0.006);
     }
 }
 
 TEST(RangeOffset, EqualLasersHaveNone) {
-    Log sequence = drive_through_street();
-    for (Frame& frame : sequence.frames)
+    Log log = drive_through_street();
+    for (Frame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f)
                 frame.scan.range_m[i] -= float(kOffsets_m[frame.scan.rays.channel[i]]);
-    EXPECT_GT(calibrate_ranges(sequence, kTrain).returns, 20000u);
-    for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
+    EXPECT_GT(calibrate_ranges(log, kTrain).returns, 20000u);
+    for (const Beam& beam : log.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
 }
 
 TEST(Calibration, NothingToCompareLeavesTheSensorAlone) {
-    Log sequence = drive_over_tiles(make_unequal_beams(), 0.0);
-    EXPECT_EQ(calibrate_intensity(sequence, {}).returns, 0u);
-    EXPECT_EQ(calibrate_ranges(sequence, {}).returns, 0u);
-    EXPECT_EQ(calibrate_noise(sequence, {}), 0u);
-    for (const Beam& beam : sequence.lidars[0].sensor.beams) {
+    Log log = drive_over_tiles(make_unequal_beams(), 0.0);
+    EXPECT_EQ(calibrate_intensity(log, {}).returns, 0u);
+    EXPECT_EQ(calibrate_ranges(log, {}).returns, 0u);
+    EXPECT_EQ(calibrate_noise(log, {}), 0u);
+    for (const Beam& beam : log.lidars[0].sensor.beams) {
         EXPECT_EQ(beam.intensity_gain, 1.0);
         EXPECT_EQ(beam.range_offset_m, 0.0);
     }
-    EXPECT_TRUE(sequence.lidars[0].range_noise.sigma_m.empty());
-    EXPECT_EQ(sequence.lidars[0].range_noise.lookup_sigma_m(10.0, 1.0), 0.0);
+    EXPECT_TRUE(log.lidars[0].range_noise.sigma_m.empty());
+    EXPECT_EQ(log.lidars[0].range_noise.lookup_sigma_m(10.0, 1.0), 0.0);
 }
 
 constexpr int kColumns = 1024;

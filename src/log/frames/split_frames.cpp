@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Selects the test frames, which do not train the scene (paper Sec. 4): every n-th frame,
 // the frames of a published split, or the frames in a list.
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include <algorithm>
 #include <optional>
@@ -68,20 +68,20 @@ std::set<int> parse_frame_list(const std::string& text, const std::vector<int>& 
 
 }  // namespace
 
-Split split_frames(const Log& sequence, int test_every_nth_frame, const std::string& test_frame_list) {
+Split split_frames(const Log& log, int test_every_nth_frame, const std::string& test_frame_list) {
     std::vector<int> sweeps;  // numbers of all frames; LiDARs of the same sweep share a number
     std::set<int> added_numbers;
-    for (const Frame& frame : sequence.frames)
+    for (const Frame& frame : log.frames)
         if (added_numbers.insert(frame.index).second) sweeps.push_back(frame.index);
     std::set<int> held_out;
     // Precedence: the list of the user, the published split, every n-th frame.
     if (!test_frame_list.empty()) held_out = parse_frame_list(test_frame_list, sweeps);
-    else if (test_every_nth_frame == kPublishedEvery && !sequence.test_frames.empty())
-        held_out = {sequence.test_frames.begin(), sequence.test_frames.end()};
+    else if (test_every_nth_frame == kPublishedEvery && !log.test_frames.empty())
+        held_out = {log.test_frames.begin(), log.test_frames.end()};
     else held_out = select_nth_frames(test_every_nth_frame, sweeps);
     Split split;
-    for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i) {
-        const bool is_test = held_out.contains(sequence.frames[std::size_t(i)].index);
+    for (int i = 0; i < static_cast<int>(log.frames.size()); ++i) {
+        const bool is_test = held_out.contains(log.frames[std::size_t(i)].index);
         if (is_test) split.test.push_back(i);
         else split.train.push_back(i);
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Interpolates poses and boxes, and computes rays and returns in the world frame.
 //   pose(t): slerp / lerp between the neighbours of t; constant velocity at both ends.
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -109,14 +109,14 @@ PoseTrack Log::lidar_track(int lidar_index) const {
     return mount_track(world_from_vehicle, lidars[std::size_t(lidar_index)].vehicle_from_sensor);
 }
 
-int find_lidar(const Log& sequence, const std::string& name) {
+int find_lidar(const Log& log, const std::string& name) {
     if (name.empty()) return 0;
-    const auto lidar = std::ranges::find(sequence.lidars, name, &Lidar::name);
-    if (lidar != sequence.lidars.end()) return static_cast<int>(lidar - sequence.lidars.begin());
-    if (sequence.lidars.size() == 1)
+    const auto lidar = std::ranges::find(log.lidars, name, &Lidar::name);
+    if (lidar != log.lidars.end()) return static_cast<int>(lidar - log.lidars.begin());
+    if (log.lidars.size() == 1)
         fail<UsageError>("lidar: found \"{}\", expected none, because the log has a single LiDAR", name);
     std::vector<std::string> names;
-    for (const Lidar& other : sequence.lidars) names.push_back(other.name);
+    for (const Lidar& other : log.lidars) names.push_back(other.name);
     fail<UsageError>("lidar: found \"{}\", expected one of {}", name, fmt::join(names, ", "));
 }
 
@@ -133,18 +133,18 @@ std::optional<std::uint16_t> Log::find_global_beam(int lidar_index, std::uint16_
     return static_cast<std::uint16_t>(number);
 }
 
-const BoxTrack* find_box(const Log& sequence, const std::string& box_id) {
+const BoxTrack* find_box(const Log& log, const std::string& box_id) {
     if (box_id.empty()) return nullptr;
-    const auto box = std::ranges::find(sequence.boxes, box_id, &BoxTrack::id);
-    return box == sequence.boxes.end() ? nullptr : &*box;
+    const auto box = std::ranges::find(log.boxes, box_id, &BoxTrack::id);
+    return box == log.boxes.end() ? nullptr : &*box;
 }
 
-Log strip_frames(const Log& sequence) {
+Log strip_frames(const Log& log) {
     // Copies the other members one by one, because the scans can be gigabytes. The
     // binding needs all members, so without a new member it does not compile.
     const auto& [name, source, lidars, frames, world_from_vehicle, boxes, world_offset_m, georeference,
                  intensity_response, conventions, start_unix_ns, notes, test_frames, has_poses,
-                 rolling_shutter] = sequence;
+                 rolling_shutter] = log;
     return {.name = name,
             .source = source,
             .lidars = lidars,
@@ -230,15 +230,15 @@ bool BoxTrack::is_moving() const {
     return false;
 }
 
-void set_trajectory(Log& sequence, PoseTrack world_from_vehicle) {
-    for (BoxTrack& box : sequence.boxes)
+void set_trajectory(Log& log, PoseTrack world_from_vehicle) {
+    for (BoxTrack& box : log.boxes)
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
             Pose& world_from_box = box.world_from_box.pose[k];
-            const Pose vehicle_from_box = inverse(sequence.world_from_vehicle.pose_at(t_s)) * world_from_box;
+            const Pose vehicle_from_box = inverse(log.world_from_vehicle.pose_at(t_s)) * world_from_box;
             world_from_box = world_from_vehicle.pose_at(t_s) * vehicle_from_box;
         }
-    sequence.world_from_vehicle = std::move(world_from_vehicle);
+    log.world_from_vehicle = std::move(world_from_vehicle);
 }
 
 namespace {
@@ -371,30 +371,30 @@ double head_facing_time_s(const SpinningSensor& sensor, double azimuth_rad, cons
 
 }  // namespace
 
-double facing_time_s(const Log& sequence, const glm::dvec3& point_m, const SweepTiming& sweep) {
-    if (!sequence.rolling_shutter) return sweep.time_s;
-    const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
+double facing_time_s(const Log& log, const glm::dvec3& point_m, const SweepTiming& sweep) {
+    if (!log.rolling_shutter) return sweep.time_s;
+    const Lidar& lidar = log.lidars[std::size_t(sweep.lidar)];
     const double azimuth_rad = std::atan2(point_m.y, point_m.x);
     return lidar.pattern ? pattern_facing_time_s(*lidar.pattern, azimuth_rad, sweep)
                          : head_facing_time_s(lidar.sensor, azimuth_rad, sweep);
 }
 
-SurfaceReturn surface_return(const Log& sequence, const Frame& frame, std::size_t ray, std::size_t index) {
+SurfaceReturn surface_return(const Log& log, const Frame& frame, std::size_t ray, std::size_t index) {
     const Scan& scan = frame.scan;
-    const Beam& beam = find_beam(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
+    const Beam& beam = find_beam(log.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
     const double measured_m = index == 0 ? scan.range_m[ray] : scan.second_returns[index - 1].range_m[ray],
                  measured = index == 0 ? scan.intensity[ray] : scan.second_returns[index - 1].intensity[ray];
     const float range_m = static_cast<float>(beam.to_surface_range_m(measured_m));
     return {range_m, static_cast<float>(beam.to_surface_intensity(
-                         measured, sequence.intensity_response.range_factor(double(range_m))))};
+                         measured, log.intensity_response.range_factor(double(range_m))))};
 }
 
-WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t ray, std::size_t index) {
-    const double t_s = firing_time_s(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
-    const WorldRay w = ray_to_world(
-        sequence.world_from_vehicle.mounted_pose_at(t_s, sequence.lidar_of(frame).vehicle_from_sensor),
-        frame.scan.rays, ray);
-    const SurfaceReturn surface = surface_return(sequence, frame, ray, index);
+WorldReturn locate_return(const Log& log, const Frame& frame, std::size_t ray, std::size_t index) {
+    const double t_s = firing_time_s(frame.time_s, frame.scan.rays, ray, log.rolling_shutter);
+    const WorldRay w =
+        ray_to_world(log.world_from_vehicle.mounted_pose_at(t_s, log.lidar_of(frame).vehicle_from_sensor),
+                     frame.scan.rays, ray);
+    const SurfaceReturn surface = surface_return(log, frame, ray, index);
     return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s,
             surface.intensity};
 }

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Collects the returns of a log for the comparison of beams. Used only in
-// src/log/sequence.
+// src/log/calibration.
 #pragma once
 
 #include <vector>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "base/parallel.hpp"
 
@@ -15,19 +15,19 @@ namespace relidar {
 /// and that has a return closer than max_range_m. The beam has the number of
 /// Log::find_global_beam().
 template <class Visit>
-void visit_returns(const Log& sequence, const Frame& frame, double max_range_m, const Visit& visit) {
+void visit_returns(const Log& log, const Frame& frame, double max_range_m, const Visit& visit) {
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         const float range_m = frame.scan.range_m[ray];
         if (!(range_m > 0.0f && range_m < max_range_m)) continue;
-        if (const auto beam = sequence.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]))
-            visit(ray, *beam, locate_return(sequence, frame, ray));
+        if (const auto beam = log.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]))
+            visit(ray, *beam, locate_return(log, frame, ray));
     }
 }
 
 /// Returns the beams of all LiDARs, in the order of visit_returns().
-inline std::vector<Beam*> list_beams(Log& sequence) {
+inline std::vector<Beam*> list_beams(Log& log) {
     std::vector<Beam*> beams;
-    for (Lidar& lidar : sequence.lidars)
+    for (Lidar& lidar : log.lidars)
         for (Beam& beam : lidar.sensor.beams) beams.push_back(&beam);
     return beams;
 }
@@ -64,7 +64,7 @@ struct CellReturns {
 /// Collects the returns of all grid cells with at least two returns, because only
 /// intensities in the same cell can be compared. Leaves out returns that are not on a
 /// plane. If there are too many rays, uses only every n-th frame.
-/// @param frames  indices in sequence.frames
-CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames);
+/// @param frames  indices in log.frames
+CellReturns collect_cells(const Log& log, const std::vector<int>& frames);
 
 }  // namespace relidar

@@ -102,9 +102,9 @@ TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
     set_trajectory(log, track);
     EXPECT_EQ(log.world_from_vehicle.pose[1].translation, track.pose[1].translation);
     for (std::size_t k = 0; k < 2; ++k) {
-        const auto in_vehicle = [&](const Log& sequence) {
-            const PoseTrack& box = sequence.boxes[0].world_from_box;
-            return inverse(sequence.world_from_vehicle.pose_at(box.time_s[k])) * box.pose[k];
+        const auto in_vehicle = [&](const Log& moved) {
+            const PoseTrack& box = moved.boxes[0].world_from_box;
+            return inverse(moved.world_from_vehicle.pose_at(box.time_s[k])) * box.pose[k];
         };
         const Pose first = in_vehicle(before), second = in_vehicle(log);
         EXPECT_LT(glm::distance(first.translation, second.translation), 1e-12);
@@ -206,8 +206,8 @@ RayTable make_turning_rays(const SpinningSensor& sensor, double from_rad, double
 }
 
 TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
-    Log sequence;
-    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    Log log;
+    SpinningSensor& sensor = log.lidars[0].sensor;
     for (const bool clockwise : {true, false}) {
         sensor.clockwise = clockwise;
         for (const double from_rad : {-2.5, 0.3, 2.0}) {
@@ -217,7 +217,7 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 ASSERT_TRUE(start.has_value());
                 for (std::size_t i = 1; i < 500; i += 7) {
                     const double facing_s =
-                        facing_time_s(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
+                        facing_time_s(log, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
                     ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6)
                         << from_rad << " " << from_s << " " << i;
                 }
@@ -235,27 +235,27 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
                                   .top_rad = 0.1,
                                   .bottom_rad = 0.0,
                                   .period_s = 0.08};
-    Log sequence;
-    sequence.lidars[0].sensor.period_s = 0.0;
-    sequence.lidars[0].pattern = window;
+    Log log;
+    log.lidars[0].sensor.period_s = 0.0;
+    log.lidars[0].pattern = window;
     // The time of the frame is in the middle of the scan, at its start, or after its end.
     for (const float later_s : {0.0f, 0.04f, -0.1f}) {
         RayTable rays = make_rays(window);
         for (float& t : rays.time_offset_s) t += later_s;
-        const auto start = find_sweep_start(rays, sequence.lidars[0]);
+        const auto start = find_sweep_start(rays, log.lidars[0]);
         EXPECT_EQ(start.has_value(), later_s != 0.0f);
         for (std::size_t i = 0; i < rays.size(); ++i)
-            ASSERT_NEAR(facing_time_s(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
+            ASSERT_NEAR(facing_time_s(log, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
                         7.0 + double(rays.time_offset_s[i]), 1.1e-3)
                 << "half a column: " << later_s << " " << i;
     }
-    EXPECT_EQ(make_lidar_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
+    EXPECT_EQ(make_lidar_rays(log.lidars[0], 3.0).direction, make_rays(window).direction);
     const RosetteSensor rosette{
         .name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
-    sequence.lidars[0].pattern = rosette;
-    EXPECT_EQ(facing_time_s(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
-    EXPECT_EQ(facing_time_s(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05);
-    EXPECT_EQ(make_lidar_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
+    log.lidars[0].pattern = rosette;
+    EXPECT_EQ(facing_time_s(log, {3, 1, 0}, {7.0, 0, {}}), 7.0);
+    EXPECT_EQ(facing_time_s(log, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05);
+    EXPECT_EQ(make_lidar_rays(log.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
 }
 
 TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
@@ -276,67 +276,67 @@ Log make_numbered_frames(int first, int end) {
 }
 
 TEST(Split, EveryTenthOfFiftyButTheFirst) {
-    const Log sequence = make_numbered_frames(0, 50);
-    const Split split = split_frames(sequence, 10);
+    const Log log = make_numbered_frames(0, 50);
+    const Split split = split_frames(log, 10);
     EXPECT_EQ(split.test, (std::vector<int>{10, 20, 30, 40}));
     EXPECT_EQ(split.train.size(), 46u);
-    EXPECT_EQ(split_frames(sequence, 0).train.size(), 50u);
-    EXPECT_THROW(split_frames(sequence, 1), UsageError);
-    EXPECT_EQ(split_frames(sequence, 0, "13,26,40:45").test, (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
+    EXPECT_EQ(split_frames(log, 0).train.size(), 50u);
+    EXPECT_THROW(split_frames(log, 1), UsageError);
+    EXPECT_EQ(split_frames(log, 0, "13,26,40:45").test, (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
 }
 
 TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
-    Log sequence = make_numbered_frames(2351, 2401);
-    sequence.frames.erase(sequence.frames.begin() + 4);  // a frame without a pose shifts no index
-    sequence.test_frames = {2360, 2370, 2380, 2390};
+    Log log = make_numbered_frames(2351, 2401);
+    log.frames.erase(log.frames.begin() + 4);  // a frame without a pose shifts no index
+    log.test_frames = {2360, 2370, 2380, 2390};
     const auto indices = [&](const Split& split) {
         std::vector<int> all;
-        for (const int position : split.test) all.push_back(sequence.frames[std::size_t(position)].index);
+        for (const int position : split.test) all.push_back(log.frames[std::size_t(position)].index);
         return all;
     };
-    EXPECT_EQ(indices(split_frames(sequence, 10)), sequence.test_frames);
-    EXPECT_EQ(indices(split_frames(sequence, 10, "2353,2400")), (std::vector<int>{2353, 2400}));
-    EXPECT_TRUE(split_frames(sequence, 0).test.empty());
-    EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
+    EXPECT_EQ(indices(split_frames(log, 10)), log.test_frames);
+    EXPECT_EQ(indices(split_frames(log, 10, "2353,2400")), (std::vector<int>{2353, 2400}));
+    EXPECT_TRUE(split_frames(log, 0).test.empty());
+    EXPECT_EQ(split_frames(log, 25).test.size(), 1u) << "another number is another split";
 }
 
 /// Makes the frames 100, 103, 106 ... of two LiDARs. The second has no sweep 106.
 Log make_sweeps_of_three() {
-    Log sequence;
+    Log log;
     for (int i = 0; i < 8; ++i) {
         for (int lidar = 0; lidar < 2; ++lidar) {
             if (i == 2 && lidar == 1) continue;
-            Frame& frame = sequence.frames.emplace_back();
+            Frame& frame = log.frames.emplace_back();
             frame.index = 100 + 3 * i;
             frame.lidar = lidar;
         }
     }
-    return sequence;
+    return log;
 }
 
 TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
-    const Log sequence = make_sweeps_of_three();
+    const Log log = make_sweeps_of_three();
     const auto held_out = [&](const std::string& list) {
-        const Split split = split_frames(sequence, 10, list);
+        const Split split = split_frames(log, 10, list);
         std::vector<int> all = split.train;
         all.insert(all.end(), split.test.begin(), split.test.end());
         std::sort(all.begin(), all.end());
         for (std::size_t i = 0; i < all.size(); ++i)
             EXPECT_EQ(all[i], int(i)) << list << ": every frame is in one part";
-        EXPECT_EQ(all.size(), sequence.frames.size());
+        EXPECT_EQ(all.size(), log.frames.size());
         return split.test;
     };
     EXPECT_EQ(held_out("100"), (std::vector<int>{0, 1})) << "the first one, too, and test_every has no say";
     EXPECT_EQ(held_out("121, 103"), (std::vector<int>{2, 3, 13, 14})) << "in any order";
     EXPECT_EQ(held_out("106"), std::vector<int>{4});
     EXPECT_EQ(held_out(""), std::vector<int>{}) << "fewer than ten sweeps";
-    EXPECT_EQ(split_frames(sequence, 1, "109").test, (std::vector<int>{5, 6}));
+    EXPECT_EQ(split_frames(log, 1, "109").test, (std::vector<int>{5, 6}));
 }
 
 TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
-    const Log sequence = make_sweeps_of_three();
+    const Log log = make_sweeps_of_three();
     const auto refused = [&](const std::string& list, const std::string& why) {
-        EXPECT_THAT([&] { split_frames(sequence, 10, list); },
+        EXPECT_THAT([&] { split_frames(log, 10, list); },
                     testing::ThrowsMessage<UsageError>(test::Names("dataset.test_frames ... " + why)))
             << list;
     };

@@ -26,20 +26,20 @@ std::size_t returned(const Scan& scan) {
     return i;
 }
 
-TEST(CheckSequence, GoodLogsPass) {
+TEST(CheckLog, GoodLogsPass) {
     Log log = good_log();
-    EXPECT_NO_THROW(check_sequence(log));
+    EXPECT_NO_THROW(check_log(log));
     Scan& scan = log.frames[1].scan;
     scan.second_returns.assign(1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
     scan.second_returns[0].range_m[returned(scan)] = 30.0f;
-    EXPECT_NO_THROW(check_sequence(log));
+    EXPECT_NO_THROW(check_log(log));
 }
 
 void expect_errors(const std::vector<std::pair<std::function<void(Log&)>, std::string>>& cases) {
     for (const auto& [damage, expected] : cases) {
         Log log = good_log();
         damage(log);
-        EXPECT_THAT([&] { check_sequence(log); }, testing::ThrowsMessage<DataError>(test::Names(expected)));
+        EXPECT_THAT([&] { check_log(log); }, testing::ThrowsMessage<DataError>(test::Names(expected)));
     }
 }
 
@@ -85,7 +85,7 @@ TEST(ChoosePoses, WithoutScansANoteAsksWhetherTheVehicleDrivesBackward) {
     EXPECT_THAT(notes[0], test::Names("-1.00 m ... 1.00 m ... qx qy qz qw"));
 }
 
-TEST(CheckSequence, NamesFramePoseOrBox) {
+TEST(CheckLog, NamesFramePoseOrBox) {
     expect_errors({
         {[](Log& s) { s.frames.clear(); }, "frame"},
         {[](Log& s) { s.lidars.push_back(s.lidars[0]); }, "LiDARs ... ''"},
@@ -105,7 +105,7 @@ TEST(CheckSequence, NamesFramePoseOrBox) {
     });
 }
 
-TEST(CheckSequence, NamesFrameRayAndField) {
+TEST(CheckLog, NamesFrameRayAndField) {
     expect_errors({
         {[](Log& s) { s.frames[1].scan.range_m.pop_back(); }, "frame 1, range_m ... 127 ... 4 x 32"},
         {[](Log& s) { s.frames[1].scan.rays.channel.clear(); }, "frame 1, rays.channel ... 0"},
@@ -134,7 +134,7 @@ TEST(CheckSequence, NamesFrameRayAndField) {
     });
 }
 
-Log make_sequence_with_gap(double gap_s) {
+Log make_log_with_gap(double gap_s) {
     Log log;
     log.name = "log";
     for (int i = 0; i < 10; ++i) log.frames.push_back({i, 0.1 * i + (i > 6 ? gap_s : 0.0), {}});
@@ -142,22 +142,22 @@ Log make_sequence_with_gap(double gap_s) {
 }
 
 TEST(CheckGaps, SaysWhereFramesAreMissing) {
-    Log log = make_sequence_with_gap(4.9);
+    Log log = make_log_with_gap(4.9);
     checks::note_faults(log);
     ASSERT_EQ(log.notes.size(), 1u);
     EXPECT_EQ(log.notes[0].id, "time_gaps");
     EXPECT_THAT(log.notes[0], test::Names("1 ... 5.0 s ... frames 6 ... 7 ... 0.1 s"));
-    log = make_sequence_with_gap(0.3);
+    log = make_log_with_gap(0.3);
     checks::note_faults(log);
     EXPECT_EQ(log.notes, Notes()) << "frames that a log leaves out";
 }
 
 TEST(CheckGaps, AJumpOfTheClockIsAnError) {
-    Log log = make_sequence_with_gap(3600.0);
-    EXPECT_THAT([&] { check_sequence(log); },
+    Log log = make_log_with_gap(3600.0);
+    EXPECT_THAT([&] { check_log(log); },
                 testing::ThrowsMessage<DataError>(test::Names("frame 7 ... 3600.1 s ... frame 6")));
     for (Frame& frame : log.frames) frame.time_s = 100.0 * frame.index;
-    EXPECT_NO_THROW(check_sequence(log)) << "scans that are taken every 100 s";
+    EXPECT_NO_THROW(check_log(log)) << "scans that are taken every 100 s";
 }
 
 using Change = std::function<void(Log&)>;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/sequence/beam_returns.hpp"
+#include "log/calibration/beam_returns.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -32,17 +32,17 @@ struct ReturnPoint {
 
 /// Lists the returns of a frame. Points (in the world) and ranges are without the range
 /// offsets of beams. compute_cosines() and collect_cells() set their cosines and cells.
-std::vector<ReturnPoint> collect_returns(const Log& sequence, const Frame& frame) {
+std::vector<ReturnPoint> collect_returns(const Log& log, const Frame& frame) {
     std::vector<ReturnPoint> result;
-    const double max_range_m = sequence.lidar_of(frame).sensor.max_range_m;
-    visit_returns(
-        sequence, frame, max_range_m, [&](std::size_t ray, std::uint16_t beam, const WorldReturn& in_world) {
-            result.push_back({.point_m = in_world.point_m,
-                              .direction = glm::vec3(in_world.direction),
-                              .cell_return = {.beam = beam,
-                                              .range_m = surface_return(sequence, frame, ray).range_m,
-                                              .intensity = frame.scan.intensity[ray]}});
-        });
+    const double max_range_m = log.lidar_of(frame).sensor.max_range_m;
+    visit_returns(log, frame, max_range_m,
+                  [&](std::size_t ray, std::uint16_t beam, const WorldReturn& in_world) {
+                      result.push_back({.point_m = in_world.point_m,
+                                        .direction = glm::vec3(in_world.direction),
+                                        .cell_return = {.beam = beam,
+                                                        .range_m = surface_return(log, frame, ray).range_m,
+                                                        .intensity = frame.scan.intensity[ray]}});
+                  });
     return result;
 }
 
@@ -91,10 +91,9 @@ void compute_cosines(std::vector<ReturnPoint>& returns) {
 
 }  // namespace
 
-CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames) {
-    std::vector<ReturnPoint> returns =
-        concatenate(map_frames(sequence, frames, kMostCompared,
-                               [&](const Frame& frame) { return collect_returns(sequence, frame); }));
+CellReturns collect_cells(const Log& log, const std::vector<int>& frames) {
+    std::vector<ReturnPoint> returns = concatenate(map_frames(
+        log, frames, kMostCompared, [&](const Frame& frame) { return collect_returns(log, frame); }));
     compute_cosines(returns);  // also drops returns
     const ItemCellIndices cell_numbers = cells_of_returns(returns, kIntensityCell_m);
     const CellItemLists items(cell_numbers);

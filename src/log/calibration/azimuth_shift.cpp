@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 
 #include "base/median.hpp"
 

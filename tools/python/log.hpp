@@ -5,29 +5,29 @@
 
 #include <pybind11/pybind11.h>
 
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log.hpp>
 #include <relidar/run/config.hpp>
 
 namespace relidar::python {
 
 struct LoadedLog {
-    Log sequence;
+    Log log;
     /// settings; config.dataset and config.sensor.rolling_shutter have the values with
     /// which the log was loaded
     Config config;
 };
 
-pybind11::object frame_times(const Log& sequence);
-pybind11::object frame_numbers(const Log& sequence);
-pybind11::object vehicle_path(const Log& sequence);
-pybind11::object world_offset(const Log& sequence);
-pybind11::object mounting_dict(const Log& sequence);
-pybind11::object track_dict(const Log& sequence, const std::vector<std::string>& track_names);
+pybind11::object frame_times(const Log& log);
+pybind11::object frame_numbers(const Log& log);
+pybind11::object vehicle_path(const Log& log);
+pybind11::object world_offset(const Log& log);
+pybind11::object mounting_dict(const Log& log);
+pybind11::object track_dict(const Log& log, const std::vector<std::string>& track_names);
 
 /// Binds the properties that a log and a run have in common.
 /// @param get returns the Log of an Owner
 template <class Owner, class Get>
-void bind_sequence_properties(pybind11::class_<Owner>& type, Get get) {
+void bind_log_properties(pybind11::class_<Owner>& type, Get get) {
     const auto bind = [&](const char* name, pybind11::object (*value_of)(const Log&), const char* doc) {
         type.def_property_readonly(
             name, [get, value_of](const Owner& owner) { return value_of(get(owner)); }, doc);
