@@ -5,10 +5,12 @@ with it. Scans and poses must be as written.
    bag_reports_test.py RELIDAR WORK        77: numpy, lz4 or zstd are missing
 """
 import math
+import os
+import pathlib
 import struct
 import subprocess
 
-from bag_harness import WORK, convert, expect, np, returns, run, run_tests, transform
+from bag_harness import RELIDAR, WORK, convert, expect, np, returns, run, run_tests, transform
 from bag_harness import cloud as cloud_of_rows
 
 import bag_writer as bags
@@ -271,6 +273,28 @@ def test_shared_topics():
     expect(names(notes, "1 clouds ... 'odd'"), notes)
 
 
+def test_unused_topics():
+    """Messages of unused topics are not read. With an index, this also holds for chunks."""
+    size, images = 4_000_000, 8
+    messages = log()
+    messages += [("/camera", "sensor_msgs/CompressedImage", T0 + i * STEP + 1, {"header": {"stamp": 0, "frame_id": ""}, "format": "", "data": bytes(size)})
+                 for i in range(images)]
+    messages.sort(key=lambda m: m[2])
+    alone = sorted(messages, key=lambda m: m[0] == "/camera")   # in their own chunks
+    first = sorted(messages, key=lambda m: m[0] != "/camera")
+    for name, write in (("plain.mcap", lambda path: bags.write_mcap(path, messages)), ("table.db3", lambda path: bags.write_db3(path, messages)),
+                        ("last.mcap", lambda path: bags.write_mcap(path, alone, chunk=len(alone) - images, index=True)),
+                        ("first.mcap", lambda path: bags.write_mcap(path, first, chunk=images, index=True)),
+                        ("first.bag", lambda path: bags.write_ros1(path, first, chunk=images, index=True))):
+        write(WORK / name)
+        notes = check(WORK / name)
+        expect(names(notes, f"/camera ... {images} messages"), f"{name}: {notes}")
+        process = subprocess.Popen([RELIDAR, "info", WORK / name], stdout=subprocess.DEVNULL)
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        n_read = int(pathlib.Path(f"/proc/{process.pid}/io").read_text().split()[1])
+        expect(process.wait() == 0 and n_read < size, f"{name}: {n_read} bytes were read")
+
+
 def squeezed(program, data):
     return subprocess.run([program, "-c", "-q"], input=data, capture_output=True, check=True).stdout
 
@@ -322,4 +346,4 @@ def test_frames_of_chunks():
 
 run_tests(test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
           test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames, test_shared_topics, test_zstd,
-          test_frames_of_chunks, programs=("lz4", "zstd"))
+          test_frames_of_chunks, test_unused_topics, programs=("lz4", "zstd"))
