@@ -273,6 +273,35 @@ def test_shared_topics():
     expect(names(notes, "1 clouds ... 'odd'"), notes)
 
 
+def with_clouds(change):
+    """Returns a drive with change(cloud message, stamp) for each cloud."""
+    return [(*m[:3], change(m[3], m[2])) if m[1] == CLOUD else m for m in log()]
+
+
+def test_row_steps():
+    """Without padding, the number of points is known, whatever row_step says."""
+    for row_step in (0, 1, ROWS * COLUMNS * 22, 2**32 - 1):
+        check(written("row_step", with_clouds(lambda c, _: dict(c, height=COLUMNS, width=ROWS, row_step=row_step))))
+    short = with_clouds(lambda c, _: dict(c, height=COLUMNS, width=ROWS, row_step=999, data=c["data"][:-1]))
+    expect(names(run("info", written("short", short), code=3), f"{COLUMNS * ROWS * 18 - 1} bytes ... {COLUMNS} rows of 999 bytes"), "missing bytes")
+
+
+def test_wide_integers():
+    """Times are nanoseconds in 64-bit integers, which PointField.msg does not define but PCL writes."""
+    for kind in ("i8", "u8"):
+        def change(_, stamp):
+            p = points()
+            row = np.zeros(len(p), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("timestamp", kind)])
+            row["x"], row["y"], row["z"] = p.T
+            row["ring"], row["timestamp"] = np.arange(len(p)) % ROWS, stamp + np.arange(len(p)) // ROWS * (STEP // COLUMNS)
+            return cloud_of_rows(stamp, "lidar", row)
+        bag = written("wide", with_clouds(change))
+        check(bag)
+        for k in range(N):
+            t = np.load(WORK / f"{bag.name}.log/scans/{k:06}.npz")["time"]
+            expect(np.abs(t - np.arange(COLUMNS) * 0.1 / COLUMNS).max() < 2e-6, f"{kind}: {t[0]}")
+
+
 def test_unused_topics():
     """Messages of unused topics are not read. With an index, this also holds for chunks."""
     size, images = 4_000_000, 8
@@ -346,4 +375,4 @@ def test_frames_of_chunks():
 
 run_tests(test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
           test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames, test_shared_topics, test_zstd,
-          test_frames_of_chunks, test_unused_topics, programs=("lz4", "zstd"))
+          test_frames_of_chunks, test_row_steps, test_wide_integers, test_unused_topics, programs=("lz4", "zstd"))

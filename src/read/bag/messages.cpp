@@ -49,7 +49,8 @@ CloudMessage::CloudField read_ros_field(MessageReader& reader) {
     const auto type = reader.read_number<std::uint8_t>();
     const auto count = reader.read_number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
-    field.set_type(type, {"I1", "U1", "I2", "U2", "I4", "U4", "F4", "F8"});
+    // PCL and some drivers also write 64-bit integers, which ROS does not define.
+    field.set_type(type, {"I1", "U1", "I2", "U2", "I4", "U4", "F4", "F8", "I8", "U8"});
     return field;
 }
 
@@ -72,8 +73,12 @@ void check_layout(const CloudMessage& cloud) {
         cloud.data.size() >= row_bytes &&
         (!has_rows || (cloud.data.size() - row_bytes) / cloud.row_step >= cloud.height - 1);
     if (!is_complete)
-        fail("the data of the cloud have {} bytes, expected {} rows of {} points of {} bytes",
-             cloud.data.size(), cloud.height, cloud.width, cloud.point_step);
+        fail(
+            "the data of the cloud have {} bytes, expected {} rows of {} bytes (row_step) for {} points of "
+            "{} "
+            "bytes",
+            cloud.data.size(), cloud.height, has_rows ? cloud.row_step : row_bytes, cloud.width,
+            cloud.point_step);
 }
 
 /// Reads a CustomMsg of the Livox drivers. A point has the fields offset_time (uint32,
@@ -201,6 +206,9 @@ CloudMessage read_ros_cloud(MessageReader& reader) {
     cloud.row_step = reader.read_number<std::uint32_t>();
     cloud.data = reader.read_bytes(reader.read_length(1));
     check_layout(cloud);
+    // Without padding, row_step is not needed. Some drivers write 0 or the size of all
+    // data.
+    if (cloud.data.size() == cloud.size() * cloud.point_step) cloud.row_step = cloud.width * cloud.point_step;
     return cloud;
 }
 
