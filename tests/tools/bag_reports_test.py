@@ -302,6 +302,23 @@ def test_wide_integers():
             expect(np.abs(t - np.arange(COLUMNS) * 0.1 / COLUMNS).max() < 2e-6, f"{kind}: {t[0]}")
 
 
+def test_unknown_intensities():
+    values = np.where(np.arange(ROWS * COLUMNS) % 50 == 7, np.nan, np.arange(ROWS * COLUMNS) % 256)
+
+    def change(_, stamp):
+        p = points()
+        row = np.zeros(len(p), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("intensity", "f4")])
+        row["x"], row["y"], row["z"] = p.T
+        row["ring"], row["intensity"] = np.arange(len(p)) % ROWS, values
+        return cloud_of_rows(stamp, "lidar", row)
+    notes = check(written("nan", with_clouds(change)))
+    expect(names(notes, f"{6 * np.isnan(values).sum()} of {6 * len(values)} intensities ... 0"), notes)
+    scan = np.load(WORK / "nan.mcap.log/scans/000000.npz")
+    found, hit = returns(scan)
+    nearest = np.linalg.norm(found[:, None] - points()[None], axis=-1).argmin(1)
+    expect(np.abs(scan["intensity"][hit] - np.nan_to_num(values)[nearest] / 255).max() < 1e-6, "intensities")
+
+
 def test_unused_topics():
     """Messages of unused topics are not read. With an index, this also holds for chunks."""
     size, images = 4_000_000, 8
@@ -375,4 +392,4 @@ def test_frames_of_chunks():
 
 run_tests(test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
           test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames, test_shared_topics, test_zstd,
-          test_frames_of_chunks, test_row_steps, test_wide_integers, test_unused_topics, programs=("lz4", "zstd"))
+          test_frames_of_chunks, test_row_steps, test_wide_integers, test_unknown_intensities, test_unused_topics, programs=("lz4", "zstd"))
