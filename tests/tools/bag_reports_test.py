@@ -319,6 +319,28 @@ def test_unknown_intensities():
     expect(np.abs(scan["intensity"][hit] - np.nan_to_num(values)[nearest] / 255).max() < 1e-6, "intensities")
 
 
+def test_paths():
+    """A path repeats its poses. A loop closure moves them in the last message."""
+    poses = [m[3]["transforms"][0] for m in log() if m[0] == "/tf"]
+
+    def path(first, end, late_m=0.0):
+        placed = [{"header": p["header"], "pose": dict(p["transform"], position=dict(p["transform"]["position"], y=late_m))} for p in poses[first:end]]
+        stamp = placed[-1]["header"]["stamp"]
+        return ("/path", "nav_msgs/Path", stamp, {"header": placed[-1]["header"], "poses": placed})
+
+    clouds = [m for m in log() if m[1] == CLOUD]
+    n = len(poses)
+    for name, paths in (("growing", [path(0, i, late_m=5.0 * (i < n)) for i in range(1, n + 1)]),
+                        ("window", [path(max(0, i - 5), i) for i in range(1, n + 1)]), ("once", [path(0, n)])):
+        bag = written(name, sorted(clouds + paths, key=lambda m: m[2]))
+        notes = check(bag)
+        expect("/path" in notes and np.abs(np.loadtxt(WORK / f"{bag.name}.log/poses.txt")[:, 2]).max() < 1e-6, f"{name}: {notes}")
+    for p in poses:
+        p["header"] = dict(p["header"], stamp=0)
+    notes = convert(written("no_stamps", clouds + [(*path(0, n)[:2], T0 + STEP, path(0, n)[3])]))[2]
+    expect(names(notes, f"{n} poses ... time stamp") and "has no poses" in notes, notes)
+
+
 def test_unused_topics():
     """Messages of unused topics are not read. With an index, this also holds for chunks."""
     size, images = 4_000_000, 8
@@ -392,4 +414,4 @@ def test_frames_of_chunks():
 
 run_tests(test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
           test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames, test_shared_topics, test_zstd,
-          test_frames_of_chunks, test_row_steps, test_wide_integers, test_unknown_intensities, test_unused_topics, programs=("lz4", "zstd"))
+          test_frames_of_chunks, test_row_steps, test_wide_integers, test_unknown_intensities, test_paths, test_unused_topics, programs=("lz4", "zstd"))

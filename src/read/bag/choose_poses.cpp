@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <ranges>
+#include <tuple>
 
 #include <fmt/ranges.h>
 
@@ -101,8 +102,8 @@ std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex&
 
     // Uses the pose topic with the most messages. Prefers odometry topics.
     const auto best = std::ranges::max_element(index.poses, {}, [&](const PoseTopic& poses) {
-        const bool is_odometry = bag.topics()[poses.topic].type == "nav_msgs/Odometry";
-        return std::pair(is_odometry, poses.samples.size());
+        const std::string& type = bag.topics()[poses.topic].type;
+        return std::tuple(type == "nav_msgs/Odometry", type != kPathType, poses.samples.size());
     });
     if (best != index.poses.end() && best->samples.size() >= 2)
         return make_topic_source(bag, index.frames, *best, frame_path_to_root.front(), notes);

@@ -16,7 +16,7 @@ constexpr std::size_t kMostPointStep = 65536;
 constexpr double kMaxLengthError = 1e-2;  // of a quaternion, whose length should be 1
 
 struct MessageTypePurpose {
-    const char* type;
+    std::string_view type;
     MessagePurpose use;
 };
 constexpr MessageTypePurpose kTypeUses[] = {
@@ -31,6 +31,7 @@ constexpr MessageTypePurpose kTypeUses[] = {
     {"tf2_msgs/TFMessage", MessagePurpose::transforms},
     {"tf/tfMessage", MessagePurpose::transforms},
     {"nav_msgs/Odometry", MessagePurpose::pose},
+    {kPathType, MessagePurpose::pose},
     {"geometry_msgs/PoseStamped", MessagePurpose::pose},
     {"geometry_msgs/PoseWithCovarianceStamped", MessagePurpose::pose},
     {"geometry_msgs/TransformStamped", MessagePurpose::pose},
@@ -205,10 +206,10 @@ CloudMessage read_ros_cloud(MessageReader& reader) {
     cloud.point_step = reader.read_number<std::uint32_t>();
     cloud.row_step = reader.read_number<std::uint32_t>();
     cloud.data = reader.read_bytes(reader.read_length(1));
-    check_layout(cloud);
     // Without padding, row_step is not needed. Some drivers write 0 or the size of all
     // data.
     if (cloud.data.size() == cloud.size() * cloud.point_step) cloud.row_step = cloud.width * cloud.point_step;
+    check_layout(cloud);
     return cloud;
 }
 
@@ -274,13 +275,16 @@ TransformListMessage read_transforms(const BagTopic& topic, std::string_view mes
     if (topic.encoding == "protobuf") return read_foxglove_tf(message_bytes);
     MessageReader reader(topic, message_bytes);
     TransformListMessage list;
-    // Three forms: a list of transforms with child frames, one such transform (also at
-    // the start of a nav_msgs/Odometry), or a pose whose message does not name the child.
-    const bool is_list = find_purpose(topic) == MessagePurpose::transforms;
+    // Four forms: a list of transforms with child frames, one such transform (also at the
+    // start of a nav_msgs/Odometry), a pose whose message does not name the child, or a
+    // path, which is a list of such poses after a header.
+    const bool is_path = topic.type == kPathType;
+    const bool has_transforms = find_purpose(topic) == MessagePurpose::transforms;
     const bool has_child =
-        is_list || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped";
-    constexpr std::size_t kLeastTransform = 72;  // bytes of a transform without its names
-    const std::size_t n = is_list ? reader.read_length(kLeastTransform) : 1;
+        has_transforms || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped";
+    if (is_path) read_header(reader);
+    constexpr std::size_t kLeastTransform = 68;  // bytes of a pose without its names
+    const std::size_t n = is_path || has_transforms ? reader.read_length(kLeastTransform) : 1;
     for (std::size_t i = 0; i < n; ++i) {
         TransformMessage transform{.header = read_header(reader), .child = {}, .parent_from_child = {}};
         if (has_child) transform.child = reader.read_string();
