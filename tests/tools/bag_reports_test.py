@@ -273,6 +273,22 @@ def test_shared_topics():
     expect(names(notes, "1 clouds ... 'odd'"), notes)
 
 
+def test_split():
+    """The second part of a split bag has no /tf_static. The poses in /tf then count for the LiDAR."""
+    wheels = lambda stamp, t: [transform(stamp, "base", f"wheel_{i}", (0, 0, 0), t) for i in range(2)]
+    messages = [m for m in log() if m[0] != "/tf_static"]
+    for name, extra in (("split", lambda stamp, t: []), ("wheels", wheels)):
+        part = [(*m[:3], {"transforms": m[3]["transforms"] + extra(m[2], i)}) if m[1] == TF else m for i, m in enumerate(messages)]
+        notes = check(written(name, part))
+        expect(names(notes, "'lidar' ... 'base' ... /tf ... /tf_static ... first part"), notes)
+        rows = np.loadtxt(WORK / f"{name}.mcap.log/poses.txt")
+        expect(np.abs(rows[:, 2:] - [0, 0, 1, 0, 0, 0]).max() < 1e-6, f"{name}: {rows}")
+    other = [(*m[:3], {"transforms": m[3]["transforms"] + [transform(m[2], "map", "other", (-0.5 * i, 0, 0))]}) if m[1] == TF else m
+             for i, m in enumerate(messages)]
+    _, head, notes = convert(written("unclear_vehicle", other))
+    expect(names(notes, "base, other ... not used ... 'lidar'"), notes)
+
+
 def with_clouds(change):
     """Returns a drive with change(cloud message, stamp) for each cloud."""
     return [(*m[:3], change(m[3], m[2])) if m[1] == CLOUD else m for m in log()]
@@ -414,4 +430,4 @@ def test_frames_of_chunks():
 
 run_tests(test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
           test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames, test_shared_topics, test_zstd,
-          test_frames_of_chunks, test_row_steps, test_wide_integers, test_unknown_intensities, test_paths, test_unused_topics, programs=("lz4", "zstd"))
+          test_frames_of_chunks, test_split, test_row_steps, test_wide_integers, test_unknown_intensities, test_paths, test_unused_topics, programs=("lz4", "zstd"))

@@ -29,6 +29,12 @@ inline bool is_world_frame(std::string_view frame) {
     return frame == "map" || frame == "odom" || frame == "world" || frame == "earth";
 }
 
+/// Returns true for usual names of the vehicle frame. Clouds in this frame are usually
+/// merged from several sensors.
+inline bool is_vehicle_frame(std::string_view frame) {
+    return frame == "base_link" || frame == "base_footprint" || frame == "vehicle" || frame == "ego";
+}
+
 struct ClockOffset {
     std::int64_t offset_ns = 0;  ///< 0 if the time stamps may come from one clock
     /// Change of the offset from the begin to the end of the recording. 0 if it is small.

@@ -110,12 +110,6 @@ auto rate_content(const CloudTopic& clouds) {
                       !has_byte_intensities(clouds), clouds.median_points());
 }
 
-/// Returns true for usual names of the vehicle frame. Clouds in this frame are usually
-/// merged from several sensors.
-bool is_vehicle_frame(std::string_view frame) {
-    return frame == "base_link" || frame == "base_footprint" || frame == "vehicle" || frame == "ego";
-}
-
 bool is_in_sensor_frame(const CloudTopic& cloud_topic) {
     return !is_world_frame(cloud_topic.frame) && !is_vehicle_frame(cloud_topic.frame);
 }
