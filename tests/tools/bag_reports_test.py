@@ -237,10 +237,20 @@ def test_recording_times():
 
 def test_shared_frames():
     bag = written("one_frame", log(lidars=[("/points", "lidar"), ("/rear/points", "lidar"), ("/third", "lidar")]))
-    notes = check(bag)
-    expect(names(notes, "/rear/points, /third ... 'lidar' ... dataset.lidars=/points,/rear/points,/third"), notes)
+    expect(names(run("info", bag, code=2), "/points, /rear/points, /third ... 'lidar' ... dataset.lidars"), "topics of one frame")
     _, head, notes = convert(bag, "dataset.lidars=/points,/rear/points")
     expect([l["name"] for l in head["lidars"]] == ["/points", "/rear/points"] and "not read" not in notes, notes)
+    # clouds without times of points, such as filtered ones, come after those with times
+    filtered = [("/filtered", CLOUD, m[2], dict(m[3], fields=m[3]["fields"][:4])) for m in log() if m[1] == CLOUD]
+    notes = check(written("filtered", sorted(log() + filtered, key=lambda m: m[2])))
+    expect(names(notes, "not read: /filtered ... /points ... 'lidar'"), notes)
+    # the kind of poses decides, then the user
+    odometry = [(f"/{name}", "geometry_msgs/PoseStamped", m[2], {"header": m[3]["transforms"][0]["header"], "pose": m[3]["transforms"][0]["transform"]})
+                for m in log() if m[0] == "/tf" for name in "ab"]
+    bag = written("two_poses", [m for m in log() if m[1] != TF] + odometry)
+    expect(names(run("info", bag, code=2), "/a, /b ... poses ... dataset.poses_from=/a"), "two topics of poses")
+    check(bag, "dataset.poses_from=/b")
+    convert(bag, "dataset.poses=none")
 
 
 def test_shared_topics():

@@ -63,7 +63,8 @@ struct ChosenClouds {
 /// Selects the topics whose clouds are loaded, one for each LiDAR, and the main LiDAR.
 /// @param requested_topics  names of topics; empty: automatic selection
 /// @throws DataError if no topic contains clouds
-/// @throws UsageError if a requested topic contains no clouds
+/// @throws UsageError if a requested topic contains no clouds, or without a request, if
+/// topics of one frame are of the same kind
 ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
                            const std::vector<std::string>& requested_topics);
 
@@ -94,9 +95,10 @@ struct ChosenPoses {
 /// @param main_lidar_clouds  the poses must cover their times. Damaged times are
 /// corrected or their clouds removed
 /// @param requested_frame_or_topic  frame or pose topic; empty: automatic selection
+/// @param must_be_one  several pose topics of the same kind are an error
 /// @throws UsageError if `requested_frame_or_topic` is neither a frame nor a pose topic
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
-                         const std::string& requested_frame_or_topic);
+                         const std::string& requested_frame_or_topic, bool must_be_one);
 
 /// Fits the path of the vehicle, which must be known, to positions on the earth.
 GeoreferenceFit find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames);

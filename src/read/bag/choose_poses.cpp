@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cmath>
 #include <ranges>
-#include <tuple>
 
 #include <fmt/ranges.h>
 
@@ -159,24 +158,43 @@ std::string select_world(const std::vector<std::string>& frame_path_to_root) {
     return has_map ? "map" : frame_path_to_root.back();
 }
 
+/// Returns the pose topic whose kind is first: odometry, then poses, then paths, which
+/// can also be plans. Returns null if there are none with at least two poses.
+/// @throws UsageError if there are several of one kind and `must_be_one`
+const PoseTopic* select_topic(const BagRecording& bag, const BagIndex& index, bool must_be_one) {
+    const auto rank = [&](const PoseTopic& poses) {
+        const std::string& type = bag.topics()[poses.topic].type;
+        return type == "nav_msgs/Odometry" ? 0 : type == kPathType ? 2 : 1;
+    };
+    const PoseTopic* best = nullptr;
+    std::vector<std::string> names;  // of the topics with the rank of `best`
+    for (const PoseTopic& poses : index.poses) {
+        if (poses.samples.size() < 2 || (best && rank(poses) > rank(*best))) continue;
+        if (!best || rank(poses) < rank(*best)) {
+            best = &poses;
+            names.clear();
+        }
+        names.push_back(bag.topics()[poses.topic].name);
+    }
+    if (names.size() > 1 && must_be_one)
+        fail<UsageError>(
+            "the topics {} contain poses, expected one topic; select one with dataset.poses_from={}",
+            fmt::join(names, ", "), names[0]);
+    return best;
+}
+
 /// Selects a source automatically: moving transforms, then a pose topic, then constant
 /// transforms to a world frame, then moving transforms that are not connected with the
 /// LiDAR.
 std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex& index,
-                                        const std::vector<std::string>& frame_path_to_root,
+                                        const std::vector<std::string>& frame_path_to_root, bool must_be_one,
                                         std::vector<std::string>& notes) {
     const std::string world = select_world(frame_path_to_root);
     if (find_moving_frame(index.frames, frame_path_to_root, world))
         return make_tf_source(index.frames, frame_path_to_root, world);
 
-    // Uses the pose topic with the most messages. Prefers odometry topics. Paths are
-    // last, because they can also be plans.
-    const auto best = std::ranges::max_element(index.poses, {}, [&](const PoseTopic& poses) {
-        const std::string& type = bag.topics()[poses.topic].type;
-        return std::tuple(type == "nav_msgs/Odometry", type != kPathType, poses.samples.size());
-    });
-    if (best != index.poses.end() && best->samples.size() >= 2)
-        return make_topic_source(bag, index.frames, *best, frame_path_to_root.front(), notes);
+    if (const PoseTopic* topic = select_topic(bag, index, must_be_one))
+        return make_topic_source(bag, index.frames, *topic, frame_path_to_root.front(), notes);
     if (is_world_frame(world) && frame_path_to_root.size() > 1)
         return make_tf_source(index.frames, frame_path_to_root, world);
     const std::vector<std::string> chain = loose_chain(index.frames, frame_path_to_root);
@@ -278,11 +296,12 @@ void select_clock(ChosenPoses& choice, bool has_cloud_stamps, bool lacks_pose_st
 }  // namespace
 
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
-                         const std::string& requested_frame_or_topic) {
+                         const std::string& requested_frame_or_topic, bool must_be_one) {
     ChosenPoses choice;
     const std::vector<std::string> frame_chain = index.frames.path_to_root(main_lidar_clouds.frame);
     std::optional<PoseSource> source;
-    if (requested_frame_or_topic.empty()) source = select_source(bag, index, frame_chain, choice.notes);
+    if (requested_frame_or_topic.empty())
+        source = select_source(bag, index, frame_chain, must_be_one, choice.notes);
     else source = find_source(bag, index, frame_chain, requested_frame_or_topic, choice.notes);
 
     // Selects the clock, then corrects damaged times, because the first becomes 0 s.

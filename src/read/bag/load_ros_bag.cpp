@@ -39,7 +39,7 @@ public:
           survey_(index_bag(bag_, options.progress)),
           clouds_(choose_clouds(bag_, survey_, options.lidars)),
           poses_(choose_poses(bag_, survey_, survey_.clouds[clouds_.lidars[clouds_.main]],
-                              options.bag.poses_from)),
+                              options.bag.poses_from, /*must_be_one=*/options.poses_file.empty())),
           boxes_(choose_boxes(bag_, survey_)) {
         // A path that ends with a slash has no file name.
         const std::filesystem::path clean = path.lexically_normal();
