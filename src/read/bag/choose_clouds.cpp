@@ -177,15 +177,13 @@ std::vector<std::size_t> select_topics(const BagRecording& bag, const BagIndex& 
         if (used.size() > 1)
             fail<UsageError>(
                 "the topics {} contain clouds in the frame '{}', expected one topic for each frame; select "
-                "one "
-                "topic for each LiDAR with dataset.lidars={}",
+                "topics with dataset.lidars, for example dataset.lidars={}",
                 fmt::join(used, ", "), quote(frame), *used.begin());
         // Drivers usually publish the clouds of packets in the same frame.
         if (!unused.empty() && rank(best) > 0)
             notes.push_back(
                 fmt::format("not read: {}, because {} has the same frame '{}' and more data of the sensor; "
-                            "dataset.lidars "
-                            "selects other topics",
+                            "dataset.lidars selects other topics",
                             fmt::join(unused, ", "), *used.begin(), quote(frame)));
     }
     std::ranges::sort(lidars);

@@ -74,12 +74,9 @@ void check_layout(const CloudMessage& cloud) {
         cloud.data.size() >= row_bytes &&
         (!has_rows || (cloud.data.size() - row_bytes) / cloud.row_step >= cloud.height - 1);
     if (!is_complete)
-        fail(
-            "the data of the cloud have {} bytes, expected {} rows of {} bytes (row_step) for {} points of "
-            "{} "
-            "bytes",
-            cloud.data.size(), cloud.height, has_rows ? cloud.row_step : row_bytes, cloud.width,
-            cloud.point_step);
+        fail("the data of the cloud have {} bytes, expected {} rows of {} bytes with {} points of {} bytes",
+             cloud.data.size(), cloud.height, has_rows ? cloud.row_step : row_bytes, cloud.width,
+             cloud.point_step);
 }
 
 /// Reads a CustomMsg of the Livox drivers. A point has the fields offset_time (uint32,

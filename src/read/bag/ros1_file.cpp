@@ -119,6 +119,7 @@ private:
     RandomAccessFile file_;
     const bool skip_broken_;
     ChunkCache chunks_;
+
     /// Reads the connections that follow the last chunk. Ignores a missing or damaged
     /// index.
     void read_listed() {
