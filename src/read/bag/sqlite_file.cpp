@@ -4,7 +4,9 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <vector>
 
+#include <fmt/ranges.h>
 #include <sqlite3.h>
 
 #include "base/fail.hpp"
@@ -73,19 +75,23 @@ public:
                 topics.topic_index({text_column(topic_rows.get(), 1), text_column(topic_rows.get(), 2),
                                     text_column(topic_rows.get(), 3)});
         const std::int64_t last = last_row_id();
+        // SQLite reads the bytes of each message that the query returns.
+        std::vector<std::int64_t> requested;
+        for (const auto& [id, topic] : topic_of)
+            if (callbacks.topic_filter(topics.topics()[topic])) requested.push_back(id);
         const Statement rows =
-            prepare("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
+            prepare(fmt::format("SELECT rowid, topic_id, timestamp, CASE WHEN topic_id IN ({}) THEN data END "
+                                "FROM messages ORDER BY rowid",
+                                fmt::join(requested, ",")));
         while (next_row(rows.get(), &callbacks)) {
             const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
             const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
             if (topic == topic_of.end())
                 fail("{}: the message in row {} belongs to a topic that the file does not list", name_, row);
             callbacks.done(last > 0 ? double(row) / double(last) : 0.0);
-            BagMessage message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
-            // Reads bytes only for topics that the caller requested.
-            if (callbacks.topic_filter(topics.topics()[topic->second]))
-                message.bytes = bytes_column(rows.get(), 3);
-            callbacks.message_callback(message);
+            const std::int64_t log_ns = sqlite3_column_int64(rows.get(), 2);
+            callbacks.message_callback(
+                {topic->second, log_ns, bytes_column(rows.get(), 3), {std::uint64_t(row)}});
         }
     }
 
