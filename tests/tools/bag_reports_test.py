@@ -76,7 +76,8 @@ def check(bag, *settings, n=N, most_m=1e-6, extra_m=0.0):
 def test_clocks():
     delays = {"cloud_delay_ns": 112_000_000, "pose_delay_ns": 3_000_000}   # a cloud is recorded after its sweep
     for ahead_s, most_m in ((37, 1e-6), (-18, 1e-6), (19, 1e-6), (3600, 1e-6), (5.3, 1.2), (-2.7, 1.2), (500, 1.2), (-1_699_999_990, 1.2)):
-        notes = check(written("clocks", log(ahead_ns=round(ahead_s * SECOND), **delays)), most_m=most_m)
+        check(written("clocks", log(ahead_ns=round(ahead_s * SECOND), **delays)), most_m=most_m)
+        notes = run("info", WORK / "clocks.mcap")
         number = f"{abs(ahead_s):.3f}" if most_m < 1 else ""
         expect(names(notes, f"{number} ... s {'ahead of' if ahead_s > 0 else 'behind'}"), f"{ahead_s} s: {notes}")
     # poses of a minute, so scans of another clock have poses, too
