@@ -112,7 +112,7 @@ void load_driver(const fs::path& manifest) {
     const bool is_path = library.find('/') != std::string::npos;
     const std::string path = is_path ? (manifest.parent_path() / library).string() : library;
     if (void* handle = dlopen(path.c_str(), RTLD_LAZY | RTLD_LOCAL)) dlclose(handle);
-    else fail("the library {} of the driver manifest {} cannot be loaded: {}", path, file, dlerror());
+    else fail("{}: the library cannot be loaded: {}", file, dlerror());
 }
 
 }  // namespace
@@ -123,7 +123,7 @@ std::vector<std::string> find_broken_drivers() {
         try {
             load_driver(manifest);
         } catch (const DataError& error) {
-            problems.emplace_back(error.what());
+            problems.push_back(fmt::format("driver manifest {}", error.what()));
         }
     }
     return problems;
