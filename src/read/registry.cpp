@@ -18,7 +18,6 @@
 #include "log/checks/checks.hpp"
 #include "read/files/other_formats.hpp"
 #include "read/files/point_table.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/readers.hpp"
 #include "read/scans/dropped_ray.hpp"
 #include "read/scans/pose_conventions.hpp"
@@ -117,6 +116,32 @@ void require_sequence_json(const fs::path& path) {
          R"(, and add poses.txt or use dataset.poses=none; see docs/datasets.md)",
          path.string(), n_scans, has_subfolder ? "the folder of the scans" : "them",
          has_subfolder ? "" : R"(, "lidars": [{"name": "lidar", "scans": "."}])");
+}
+
+/// Returns an error message that names the folder to use instead, for an odometry
+/// log, a folder of drives, and a folder inside a drive. Otherwise an empty string.
+/// @param expected_subfolder  subfolder that every drive has
+std::string describe_mistake(const fs::path& folder, const std::string& expected_subfolder) {
+    std::error_code failed;
+    const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
+    if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
+        return "the folder is a KITTI odometry sequence with motion-compensated scans; expected also its "
+               "file calib.txt, or the KITTI raw drive from which the sequence was made";
+    // A folder above this one may be the dataset.
+    for (fs::path above = fs::canonical(folder, failed).parent_path(); !failed && above.has_relative_path();
+         above = above.parent_path())
+        if (fs::exists(above / expected_subfolder, failed))
+            return fmt::format("the folder is inside a dataset; use the folder of the dataset, {}",
+                               above.string());
+    // Subfolders may be datasets.
+    std::vector<std::string> datasets;
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
+        if (fs::exists(entry->path() / expected_subfolder, failed))
+            datasets.push_back(entry->path().filename().string());
+    if (datasets.empty()) return "";
+    return fmt::format("the folder contains {} dataset{}; use the folder of one of them, such as {}",
+                       datasets.size(), datasets.size() == 1 ? "" : "s",
+                       (folder / *std::ranges::min_element(datasets)).string());
 }
 
 /// Calls visit(range_m) for all returns of a scan.
@@ -356,7 +381,7 @@ std::string detect_kind(const fs::path& path) {
     if (const std::string other = find_unsupported(path); !other.empty())
         fail("{} is not a dataset: {}", path.string(), other);
     for (const DatasetKind& kind : kDatasetKinds) {
-        const std::string mistake = kitti::describe_mistake(path, kind.marker);
+        const std::string mistake = describe_mistake(path, kind.marker);
         if (!mistake.empty()) fail("{} is not a dataset: {}", path.string(), mistake);
     }
     fail("{} is not a dataset of a known format, expected one of: {}", path.string(), supported_formats);

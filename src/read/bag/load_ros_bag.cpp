@@ -14,7 +14,7 @@
 #include "log/frames/match_sweeps.hpp"
 #include "read/bag/bag_scans.hpp"
 #include "read/bag/choose.hpp"
-#include "read/kitti/log_files.hpp"
+#include "read/scans/pose_files.hpp"
 #include "read/scans/sweep_poses.hpp"
 
 namespace relidar {
@@ -445,7 +445,7 @@ private:
             else if (has_poses_) pose = vehicle_pose(frames_[i].time_s);
             add_frame(log_, frames_[i].number, frames_[i].time_s, pose, int(frames_[i].lidar));
         }
-        if (options_.poses_file == kNoPoses) log_.notes.push_back(kitti::kNoPosesNote);
+        if (options_.poses_file == kNoPoses) log_.notes.push_back(read::kNoPosesNote);
         else if (!log_.has_poses)
             add_note(
                 "the recording has no poses; they must be estimated from the scans, like with "

@@ -13,9 +13,9 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/median.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/readers.hpp"
 #include "read/scans/folder_points.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar::read {
 namespace {
@@ -307,7 +307,7 @@ std::vector<fs::path> add_frames(Log& log, const StampedLog& stamped, const Data
     if (!without_pose.empty()) note_without_pose(log, stamped, without_pose, files.size());
     set_log_start(log, stamped.scans[0].stamp * std::llround(1e9 * stamped.unit_s),
                   "on the clock of the files");
-    kitti::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options.poses_file);
     centre_log(log);
     return files;
 }

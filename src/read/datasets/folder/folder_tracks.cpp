@@ -14,9 +14,9 @@
 #include "base/json_field.hpp"
 #include "log/frames/match_sweeps.hpp"
 #include "read/files/point_table.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/scans/folder_head.hpp"
 #include "read/scans/pose_conventions.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar::read {
 namespace {
@@ -346,7 +346,7 @@ std::vector<Pose> load_matrix_poses(const fs::path& pose_file, const std::vector
                                     const ScanPairReader& read_scan_pairs, Notes& notes) {
     std::vector<int> numbers;
     for (const LogFrame& frame : frames) numbers.push_back(frame.number);
-    std::vector<Pose> poses = kitti::read_matrices(pose_file, numbers);
+    std::vector<Pose> poses = read::read_matrices(pose_file, numbers);
     PoseTrack track;  // one pose per time; LiDARs of the same sweep share a pose
     for (std::size_t i = 0; i < frames.size(); ++i)
         if (track.time_s.empty() || frames[i].time_s != track.time_s.back())

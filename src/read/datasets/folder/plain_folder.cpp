@@ -10,9 +10,9 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/files/scan_npz.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/scans/folder_head.hpp"
 #include "read/scans/folder_points.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar {
 namespace {
@@ -146,7 +146,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
         files.push_back(frames[i].scan);
     }
     log.boxes = read::read_box_tracks(folder / read::kBoxesFile, frames, head.frames);
-    kitti::replace_poses(log, options.poses_file, [&] { return read_scan_pairs(head, frames); });
+    read::replace_poses(log, options.poses_file, [&] { return read_scan_pairs(head, frames); });
     if (options.poses_file.empty()) log.georeference = head.georeference;
     // A saved log gets the same origin as before, unless its poses are replaced.
     if (head.world_offset_m && options.poses_file.empty()) centre_log(log, *head.world_offset_m);

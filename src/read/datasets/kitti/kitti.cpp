@@ -13,7 +13,8 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/datasets/kitti/kitti_sweeps.hpp"
-#include "read/kitti/log_files.hpp"
+#include "read/datasets/kitti/log_files.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar {
 namespace {
@@ -24,7 +25,7 @@ using namespace kitti;
 /// Reads the times of frames in seconds. Line i of the file contains the time of frame i.
 std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& numbers) {
     std::vector<double> time_s;
-    for (const auto& [text, where] : read_frame_lines(file, numbers)) {
+    for (const auto& [text, where] : read::read_frame_lines(file, numbers)) {
         const auto seconds = parse_number(trim(text));
         if (!seconds) fail("{}: found '{}', expected a time in seconds", where, quote(text));
         time_s.push_back(*seconds);
@@ -49,7 +50,7 @@ fs::path find_pose_file(const fs::path& sequence_folder) {
 
 std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& numbers) {
     const Pose cam_from_velo = read_transform(sequence_folder / "calib.txt", "Tr");
-    std::vector<Pose> poses = read_matrices(find_pose_file(sequence_folder), numbers);
+    std::vector<Pose> poses = read::read_matrices(find_pose_file(sequence_folder), numbers);
     // Camera poses become LiDAR poses. The world becomes the LiDAR frame of frame 0.
     for (Pose& pose : poses) pose = inverse(cam_from_velo) * pose * cam_from_velo;
     return poses;
@@ -85,7 +86,7 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     if (options.poses_file.empty()) poses = read_oxts_poses(drive, frames);
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
     // Tracklets are relative to the vehicle, so they are read when its poses are final.
-    replace_poses(log, options.poses_file);
+    read::replace_poses(log, options.poses_file);
     centre_log(log);
     if (options.poses_file.empty()) log.georeference = read_oxts_place(drive);
     log.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, log.world_from_vehicle);
@@ -111,7 +112,7 @@ Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
     log.notes = {"this log has no labels"};
     log.rolling_shutter = false;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
-    replace_poses(log, options.poses_file);
+    read::replace_poses(log, options.poses_file);
     centre_log(log);
     read_hdl64_sweeps(log, folder / "velodyne", kOdometryDigits, options, folder / "labels");
     return log;
