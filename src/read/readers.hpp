@@ -8,6 +8,8 @@
 
 #include <relidar/read/dataset.hpp>
 
+#include "read/scans/frame_range.hpp"
+
 namespace relidar {
 
 // The sources and the conventions of a log (Log::conventions) describe the frames. The
@@ -44,13 +46,5 @@ Log load_synthetic(const std::filesystem::path& folder, const DatasetOptions& op
 /// (lidar_rt_benchmark.hpp), of which only the LiDAR TOP is read.
 /// @param path  a .tfrecord file, or a folder of such files
 Log load_waymo(const std::filesystem::path& path, const DatasetOptions& options);
-
-/// Returns the frames [begin, end) of a requested range in a log with n frames.
-/// @throws UsageError if the range contains no frame of the log
-FrameRange limit_frames(const FrameRange& range, int n_frames, const std::string& log_name);
-
-/// Reports that a log has no frame in the requested range.
-/// @param first,last  numbers of the frames of the log
-[[noreturn]] void fail_empty_range(const FrameRange& range, const std::string& log_name, int first, int last);
 
 }  // namespace relidar

@@ -16,10 +16,10 @@
 #include "base/files.hpp"
 #include "base/parallel.hpp"
 #include "log/checks/checks.hpp"
+#include "read/files/dropped_ray.hpp"
 #include "read/files/other_formats.hpp"
 #include "read/files/point_table.hpp"
 #include "read/readers.hpp"
-#include "read/scans/dropped_ray.hpp"
 #include "read/scans/pose_conventions.hpp"
 
 namespace relidar {
@@ -344,17 +344,6 @@ void estimate_sweeps(Log& log) {
 }
 
 }  // namespace
-
-void fail_empty_range(const FrameRange& range, const std::string& log_name, int first, int last) {
-    fail<UsageError>("frames {}:{} select no frame of {}, expected numbers in [{}, {}]", range.begin,
-                     range.end < 0 ? "" : std::to_string(range.end), log_name, first, last);
-}
-
-FrameRange limit_frames(const FrameRange& range, int n_frames, const std::string& log_name) {
-    const int end = range.end < 0 ? n_frames : std::min(range.end, n_frames);
-    if (range.begin >= end) fail_empty_range(range, log_name, 0, n_frames - 1);
-    return {range.begin, end};
-}
 
 bool is_dataset(const fs::path& path) {
     try {

@@ -9,7 +9,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
-#include "read/packets/packet_messages.hpp"
+#include "read/bag/packet_messages.hpp"
 #include "read/scans/point_times.hpp"
 
 namespace relidar::bag {
@@ -145,8 +145,7 @@ Scan BagScans::read_rays(std::size_t frame) const {
     std::vector<std::vector<packets::ReceivedPacket>> packets_of_message;
     for (const auto& source : clouds.packets.messages_of(revolution)) {
         messages.push_back(bag_.read_message(topic, source.message_position));
-        packets_of_message.push_back(
-            packets::read_packets(topic, messages.back().bytes, source.log_ns).packets);
+        packets_of_message.push_back(read_packets(topic, messages.back().bytes, source.log_ns).packets);
     }
     // The time of the revolution is that at which the head faces forward. The time of the
     // frame differs if it is that of another LiDAR.

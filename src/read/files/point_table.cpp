@@ -13,7 +13,6 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/files/other_formats.hpp"
-#include "read/scans/point_times.hpp"
 
 namespace relidar::read {
 namespace {

@@ -10,7 +10,7 @@
 #include <relidar/read/clouds.hpp>
 #include <relidar/read/dataset.hpp>
 
-#include "read/scans/point_meaning.hpp"
+#include "read/files/point_units.hpp"
 #include "read/scans/pose_conventions.hpp"
 #include "read/scans/scan_plan.hpp"
 
@@ -23,24 +23,6 @@ inline constexpr const char* kLogFormat = "relidar log";
 inline constexpr int kLogVersion = 1;
 // limits of texts, in bytes
 inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestPath = 255;
-
-/// Units and meaning of the point values in scan files.
-struct PointFileUnits {
-    /// Names of the columns in .bin and .npy files. Empty means x y z intensity.
-    std::vector<std::string> columns;
-    /// Intensities are divided by this value. If not set, values above 1 are an error.
-    std::optional<double> intensity_max;
-    double time_unit_s = 1.0;
-    bool absolute_times = false;  ///< true: point times use the clock of the log; false: 0 is the frame
-    /// Field with the intensities. If empty, the first field with a usual name.
-    std::string intensity_field = {};
-    /// Position that marks a ray without a return, as NaN does.
-    std::optional<glm::vec3> no_return = {};
-    UnnumberedReturns returns = {};
-    bool ignore_times = false;      ///< true if the times of the points have lost their precision
-    bool skip_wrong_times = false;  ///< true: skips points with wrong times; false: throws
-    double time_zero = 0.0;         ///< value of the point time at the time 0 s, in the unit of the file
-};
 
 /// An element of "lidars" in sequence.json.
 struct HeaderLidar : LidarScanLayout {

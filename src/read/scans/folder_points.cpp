@@ -10,8 +10,9 @@
 
 #include "base/fail.hpp"
 #include "base/median.hpp"
+#include "read/files/dropped_ray.hpp"
 #include "read/files/scan_npz.hpp"
-#include "read/scans/dropped_ray.hpp"
+#include "read/scans/point_meaning.hpp"
 #include "read/scans/point_times.hpp"
 
 namespace relidar::read {

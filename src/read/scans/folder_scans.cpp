@@ -7,9 +7,9 @@
 
 #include "base/fail.hpp"
 #include "base/progress_blocks.hpp"
+#include "read/files/dropped_ray.hpp"
 #include "read/files/scan_npz.hpp"
 #include "read/scans/broken_scans.hpp"
-#include "read/scans/dropped_ray.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/point_times.hpp"
 

@@ -10,7 +10,7 @@
 #include <fmt/ranges.h>
 
 #include "base/files.hpp"
-#include "read/scans/dropped_ray.hpp"
+#include "read/files/dropped_ray.hpp"
 
 namespace relidar::read {
 namespace {

@@ -11,6 +11,7 @@
 #include <glm/glm.hpp>
 
 #include "read/files/point_table.hpp"
+#include "read/files/point_units.hpp"
 
 namespace relidar::read {
 
@@ -27,15 +28,6 @@ struct IntensityScale {
 };
 /// Estimates which intensity becomes 1: 1, 255, or a value that only few exceed.
 IntensityScale estimate_scale(std::vector<double> intensities);
-
-/// How clouds store two returns of each ray without numbers.
-struct UnnumberedReturns {
-    bool exist = false;
-    /// Blocks of this many points are alternately first and second returns: 1 if both
-    /// returns of a ray are neighbours. 0: the returns have equal rings and times.
-    std::size_t block_size = 0;
-    bool are_halves = false;  ///< true: all second returns follow, so a block is half of each cloud
-};
 
 /// Finds out whether clouds have two returns of each ray without return numbers. They
 /// store most single returns twice. Without copies, pairs of points with equal ring, time

@@ -8,7 +8,7 @@
 #include <numeric>
 #include <utility>
 
-#include "read/scans/dropped_ray.hpp"
+#include "read/files/dropped_ray.hpp"
 
 namespace relidar::read {
 namespace {

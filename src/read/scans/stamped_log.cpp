@@ -13,8 +13,8 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/median.hpp"
-#include "read/readers.hpp"
 #include "read/scans/folder_points.hpp"
+#include "read/scans/frame_range.hpp"
 #include "read/scans/pose_files.hpp"
 
 namespace relidar::read {

@@ -9,8 +9,8 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/classes/dataset_classes.hpp"
+#include "read/files/dropped_ray.hpp"
 #include "read/readers.hpp"
-#include "read/scans/dropped_ray.hpp"
 
 namespace relidar::kitti {
 namespace fs = std::filesystem;

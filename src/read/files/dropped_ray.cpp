@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "read/scans/dropped_ray.hpp"
+#include "read/files/dropped_ray.hpp"
 
 #include <algorithm>
 #include <cmath>
