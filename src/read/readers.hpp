@@ -20,6 +20,12 @@ Log load_boreas(const std::filesystem::path& folder, const DatasetOptions& optio
 /// @param drive  folder that contains velodyne_points
 Log load_kitti_raw(const std::filesystem::path& drive, const DatasetOptions& options);
 Log load_odometry(const std::filesystem::path& folder, const DatasetOptions& options);
+/// DatasetOptions::sequence is the name of a sequence ("0003"), or its number ("3").
+/// @param folder  folder that contains velodyne/, label_02/ and others, or a folder above
+Log load_kitti_tracking(const std::filesystem::path& folder, const DatasetOptions& options);
+/// Also loads View-of-Delft. Boxes are not loaded, because they have no track ids.
+/// @param folder  folder that contains velodyne/, label_2/ and others, or a folder above
+Log load_kitti_object(const std::filesystem::path& folder, const DatasetOptions& options);
 /// DatasetOptions::sequence is the name of the drive's folder, the four digits in this
 /// name, or a part of drive 0000 (lidar_rt_benchmark.hpp).
 /// @param folder  folder that contains data_3d_raw

@@ -41,7 +41,11 @@ struct DatasetKind {
 constexpr DatasetKind kDatasetKinds[] = {
     {"argoverse2", "city_SE3_egovehicle.feather", "an Argoverse 2 log", load_argoverse2},
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
-    {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_odometry},
+    {"kitti_tracking", "label_02 training/label_02 tracking/training/label_02 velodyne/0000",
+     "the layout of KITTI tracking", load_kitti_tracking, true},
+    {"kitti_object", "label_2 training/label_2 lidar/training/label_2 calib/000000.txt",
+     "the layout of KITTI object", load_kitti_object},
+    {"kitti_odometry", "calib.txt velodyne/000000.bin", "a KITTI odometry sequence", load_odometry},
     {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
     {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
     {"nuscenes", "v1.*", "nuScenes or TruckScenes", load_nuscenes, true},

@@ -23,17 +23,19 @@ fs::path oxts_path(const fs::path& drive, int frame_number) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame_number);
 }
 
-/// Reads the 30 numbers of a GPS/IMU file (OXTS). The first are latitude, longitude (both
-/// in degrees), height in metres, and roll, pitch and yaw in radians.
-std::vector<double> read_oxts(const fs::path& oxts_file) {
+/// Parses 30 numbers of GPS/IMU data (OXTS). The first are latitude, longitude (both in
+/// degrees), height in metres, and roll, pitch and yaw in radians.
+std::vector<double> parse_oxts(const std::string& line, const std::string& where) {
     constexpr std::size_t kOxtsNumbers = 30;
-    const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
-    const std::vector<double> v =
-        read::parse_finite(lines.empty() ? "" : lines[0], kOxtsNumbers, oxts_file.string());
+    const std::vector<double> v = read::parse_finite(line, kOxtsNumbers, where);
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0)
-        fail("{}: found the latitude {} and the longitude {}, expected angles in degrees", oxts_file.string(),
-             v[0], v[1]);
+        fail("{}: found the latitude {} and the longitude {}, expected angles in degrees", where, v[0], v[1]);
     return v;
+}
+
+std::vector<double> read_oxts(const fs::path& oxts_file) {
+    const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
+    return parse_oxts(lines.empty() ? "" : lines[0], oxts_file.string());
 }
 
 constexpr double kEarthRadius_m = 6378137.0;
@@ -51,7 +53,25 @@ Pose imu_pose(const std::vector<double>& oxts, double scale) {
              height_m}};
 }
 
-/// Returns the numbers of the first GPS/IMU file of a drive, see read_oxts(). It defines
+/// Returns the pose of the IMU in a world whose origin is the IMU in the first frame.
+Pose place_imu(const std::vector<double>& oxts, const std::vector<double>& first) {
+    const double scale = mercator_scale(first);
+    Pose world_from_imu = imu_pose(oxts, scale);
+    world_from_imu.translation -= imu_pose(first, scale).translation;
+    return world_from_imu;
+}
+
+/// Returns the place on the earth of the world of place_imu().
+Georeference place_of(const std::vector<double>& first) {
+    const double latitude_deg = first[0], longitude_deg = first[1], height_m = first[2];
+    const glm::dvec3 origin_m = imu_pose(first, mercator_scale(first)).translation;
+    // PROJ adds x_0 and y_0 to the coordinates. The scale is 1 at the latitude lat_ts.
+    const std::string projection = fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m,
+                                               latitude_deg, -origin_m.x, -origin_m.y);
+    return {.position = {latitude_deg, longitude_deg, height_m}, .point_m = {}, .crs = projection};
+}
+
+/// Returns the numbers of the first GPS/IMU file of a drive, see parse_oxts(). It defines
 /// the origin and Mercator scale of all poses, whichever frames are requested.
 std::vector<double> read_first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
@@ -112,27 +132,23 @@ Pose read_transform(const fs::path& file, const std::string& key) {
 
 std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>& frame_numbers) {
     const std::vector<double> first = read_first_oxts(drive);
-    const double scale = mercator_scale(first);
-    const glm::dvec3 origin = imu_pose(first, scale).translation;
     const Pose imu_from_sensor = inverse(read_calibration(find_imu_file(drive)));
     std::vector<Pose> poses;
-    for (const int frame : frame_numbers) {
-        Pose world_from_imu = imu_pose(read_oxts(oxts_path(drive, frame)), scale);
-        world_from_imu.translation -= origin;
-        poses.push_back(world_from_imu * imu_from_sensor);
-    }
+    for (const int frame : frame_numbers)
+        poses.push_back(place_imu(read_oxts(oxts_path(drive, frame)), first) * imu_from_sensor);
     return poses;
 }
 
-Georeference read_oxts_place(const fs::path& drive) {
-    const std::vector<double> oxts = read_first_oxts(drive);
-    const double latitude_deg = oxts[0], longitude_deg = oxts[1], height_m = oxts[2];
-    const glm::dvec3 origin_m = imu_pose(oxts, mercator_scale(oxts)).translation;
-    // The world of read_oxts_poses() is Mercator minus origin_m. PROJ adds x_0 and y_0 to
-    // the coordinates, and the scale is 1 at the latitude lat_ts.
-    const std::string projection = fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m,
-                                               latitude_deg, -origin_m.x, -origin_m.y);
-    return {.position = {latitude_deg, longitude_deg, height_m}, .point_m = {}, .crs = projection};
+Georeference read_oxts_place(const fs::path& drive) { return place_of(read_first_oxts(drive)); }
+
+OxtsTrack read_oxts_lines(const fs::path& file, const std::vector<int>& numbers,
+                          const Pose& imu_from_sensor) {
+    const read::FrameLine first_line = read::read_frame_lines(file, {0}).front();
+    const std::vector<double> first = parse_oxts(first_line.text, first_line.where);
+    OxtsTrack track{{}, place_of(first)};
+    for (const auto& [text, where] : read::read_frame_lines(file, numbers))
+        track.poses.push_back(place_imu(parse_oxts(text, where), first) * imu_from_sensor);
+    return track;
 }
 
 std::map<int, Pose> read_numbered_poses(const fs::path& file) {

@@ -66,6 +66,15 @@ std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std:
 /// Returns the place of the world of read_oxts_poses() on the earth.
 Georeference read_oxts_place(const std::filesystem::path& drive);
 
+struct OxtsTrack {
+    std::vector<Pose> poses;  ///< of the LiDAR
+    Georeference place;       ///< of their world
+};
+/// Same for a file with a line of GPS/IMU data for each frame. The IMU in line 0 is the
+/// origin of the world.
+OxtsTrack read_oxts_lines(const std::filesystem::path& file, const std::vector<int>& numbers,
+                          const Pose& imu_from_sensor);
+
 /// Reads poses by frame number. Each line contains a frame number and a 3x4 matrix. The
 /// frame numbers must increase.
 std::map<int, Pose> read_numbered_poses(const std::filesystem::path& file);
