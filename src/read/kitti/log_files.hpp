@@ -11,6 +11,7 @@
 #include <glm/glm.hpp>
 
 #include <relidar/log/log.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/read/points.hpp>
 
 #include "read/scans/pose_conventions.hpp"
@@ -89,9 +90,9 @@ inline const Note kNoPosesNote{
 
 /// Replaces the vehicle poses of a log by the poses in a file of the user: a matrix for
 /// each frame, or poses with times. The boxes move with the vehicle.
-/// @param pose_file  empty: does nothing; "none": sets identity poses
+/// @param options  poses_file empty: does nothing; "none": sets identity poses
 /// @param read_scan_pairs  reads scans that show which meaning of the poses fits
-void replace_poses(Log& log, const std::filesystem::path& pose_file,
+void replace_poses(Log& log, const DatasetOptions& options,
                    const read::ScanPairReader& read_scan_pairs = nullptr);
 
 /// Reads poses by frame number. Each line contains a frame number and a 3x4 matrix. The

@@ -85,7 +85,7 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     if (options.poses_file.empty()) poses = read_oxts_poses(drive, frames);
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
     // Tracklets are relative to the vehicle, so they are read when its poses are final.
-    replace_poses(log, options.poses_file);
+    replace_poses(log, options);
     centre_log(log);
     if (options.poses_file.empty()) log.georeference = read_oxts_place(drive);
     log.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, log.world_from_vehicle);
@@ -111,7 +111,7 @@ Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
     log.notes = {"this log has no labels"};
     log.rolling_shutter = false;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
-    replace_poses(log, options.poses_file);
+    replace_poses(log, options);
     centre_log(log);
     read_hdl64_sweeps(log, folder / "velodyne", kOdometryDigits, options, folder / "labels");
     return log;
