@@ -13,6 +13,7 @@
 #include "read/files/scan_npz.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/point_times.hpp"
+#include "read/scans/pose_conventions.hpp"
 
 namespace relidar::read {
 namespace {
@@ -28,9 +29,8 @@ constexpr double kMinCloudShare = 0.8;  // minimum share of the clouds that must
 constexpr double kLargestStep = 16.0;
 
 constexpr const char* kReferenceTexts[] = {  // by PointTimeReference
-    "", "the times are relative to the stamp of the cloud",
-    "the times use the same clock as the stamps of the clouds",
-    "the times use the clock of the sensor, so the first time in a cloud is set to its stamp"};
+    "not used", "0 at the stamp of the scan", "on the clock of the stamps",
+    "on an unknown clock, so the first point gets the stamp"};
 
 struct TimeUnit {
     const char* name;
@@ -141,7 +141,8 @@ const TimeUnit* find_time_unit(double span, double cloud_interval_s) {
 /// the reference is `none`. Does not set the fields.
 /// @param signed_ranges  the same times if large unsigned numbers are negative offsets
 PointCloudUnits estimate_times(const std::vector<TimeRange>& ranges,
-                               const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
+                               const std::vector<TimeRange>& signed_ranges, double cloud_interval_s,
+                               const Conventions& set) {
     PointCloudUnits units;
     if (ranges.empty()) return units;
     std::vector<double> spans;  // [clouds]
@@ -157,17 +158,14 @@ PointCloudUnits estimate_times(const std::vector<TimeRange>& ranges,
     }
     // After motion compensation, all points of a cloud can have the same time.
     units.is_deskewed = std::ranges::max(spans) == 0.0;
-    if (units.is_deskewed) {
-        units.time_note =
-            "all points of a cloud have the same time, so each cloud is assumed to be motion-compensated to "
-            "its stamp";
-        return units;
-    }
-    const TimeUnit* unit = find_time_unit(usual_span, cloud_interval_s);
+    if (units.is_deskewed) return units;
+    const TimeUnit* unit = set.time_unit == Conventions::TimeUnit::automatic
+                               ? find_time_unit(usual_span, cloud_interval_s)
+                               : &kTimeUnits[std::size_t(set.time_unit) - 1];
     if (!unit) {
         units.time_note = fmt::format(
             "the times of points are ignored, because no unit of time fits them: the points of a cloud span "
-            "{:.4g} units, but clouds are {:.3g} s apart",
+            "{:.4g} units, but clouds are {:.3g} s apart; set conventions.time_unit",
             usual_span, cloud_interval_s);
         return units;
     }
@@ -179,9 +177,9 @@ PointCloudUnits estimate_times(const std::vector<TimeRange>& ranges,
     if (units.time_reference == PointTimeReference::sensor_clock &&
         find_time_reference(signed_ranges, unit->seconds, sweep_s) == PointTimeReference::stamp)
         units.time_reference = PointTimeReference::stamp;
-    units.time_note =
-        fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms", unit->name,
-                    kReferenceTexts[std::size_t(units.time_reference)], 1e3 * usual_span * unit->seconds);
+    if (set.time_zero != Conventions::TimeZero::automatic)
+        units.time_reference = PointTimeReference(set.time_zero);
+    units.time_reason = fmt::format("guess: a scan then lasts {:.1f} ms", 1e3 * usual_span * unit->seconds);
     return units;
 }
 
@@ -235,7 +233,8 @@ void drop_coarse_times(PointFileUnits& units, const std::vector<PointTable>& sam
 }  // namespace
 
 PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
-                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s) {
+                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s,
+                                     const Conventions& set) {
     // Times of counters that overflow within a cloud become continuous.
     std::vector<PointTable> continuous_clouds = clouds;
     for (PointTable& cloud : continuous_clouds) unwrap_times(cloud, /*are_offsets=*/false);
@@ -244,14 +243,43 @@ PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
     std::vector<PointTable> signed_clouds = continuous_clouds;
     std::ranges::for_each(signed_clouds, restore_signs);
 
-    PointCloudUnits units = estimate_times(list_time_ranges(continuous_clouds, cloud_stamps_s),
-                                           list_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
+    PointCloudUnits units =
+        estimate_times(list_time_ranges(continuous_clouds, cloud_stamps_s),
+                       list_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s, set);
     units.fields = interpret_fields(continuous_clouds);
-    if (!units.fields.scale.note.empty()) units.fields.notes.push_back(units.fields.scale.note);
     return units;
 }
 
-void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, Notes& notes) {
+void list_times(Log& log, const PointCloudUnits& units, const Conventions& set, const std::string& lidar) {
+    if (units.time_reason.empty()) return;
+    const auto unit = std::ranges::find(kTimeUnits, units.time_unit_s, &TimeUnit::seconds);
+    list_convention(log,
+                    {"unit of point times" + lidar, unit->name,
+                     set.time_unit != Conventions::TimeUnit::automatic ? kFromSetting : units.time_reason,
+                     "conventions.time_unit"});
+    list_convention(log,
+                    {"zero of point times" + lidar, kReferenceTexts[std::size_t(units.time_reference)],
+                     set.time_zero != Conventions::TimeZero::automatic ? kFromSetting : units.time_reason,
+                     "conventions.time_zero"});
+}
+
+void list_scale(Log& log, const IntensityScale& scale, const std::string& lidar) {
+    list_convention(log, {"intensity" + lidar, fmt::format("0 to {:.4g}", scale.max), scale.reason,
+                          "conventions.intensity_max"});
+    if (!scale.is_sure && scale.max > 1.0)
+        log.notes.push_back(
+            fmt::format("the intensities{} are divided by {:.4g}, but they could also be "
+                        "percentages; set conventions.intensity_max",
+                        lidar, scale.max));
+}
+
+void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files,
+                const std::string& declared_by, const Conventions& set, Log& log) {
+    Notes& notes = log.notes;
+    if (set.time_unit != Conventions::TimeUnit::automatic)
+        units.time_unit_s = kTimeUnits[std::size_t(set.time_unit) - 1].seconds;
+    if (set.time_zero != Conventions::TimeZero::automatic)
+        units.absolute_times = set.time_zero == Conventions::TimeZero::clock;
     std::vector<PointTable> samples = sample_tables(scan_files, units.columns);
     for (PointTable& cloud : samples) unwrap_times(cloud, /*are_offsets=*/!units.absolute_times);
     PointFieldSemantics fields = interpret_fields(samples);
@@ -260,15 +288,26 @@ void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, 
         fields.scale = estimate_scale(list_values(samples, "intensity"));
     }
     drop_coarse_times(units, samples, notes);
+    if (!units.ignore_times &&
+        std::ranges::any_of(samples, [](const PointTable& t) { return find_time_range(t).has_value(); }))
+        list_times(
+            log,
+            {.time_reference = units.absolute_times ? PointTimeReference::epoch : PointTimeReference::stamp,
+             .time_unit_s = units.time_unit_s,
+             .fields = {},
+             .time_note = {},
+             .time_reason = declared_by},
+            set, "");
     units.intensity_field = fields.intensity_field;
     units.no_return = fields.no_return;
     units.returns = fields.returns;
     // If the scale is not sure, intensities above 1 are an error.
-    if (!units.intensity_max && fields.scale.is_sure && fields.scale.max > 1.0) {
-        units.intensity_max = fields.scale.max;
-        notes.push_back(fields.scale.note +
-                        "; set the key \"intensity_max\" in sequence.json to use another scale");
-    }
+    if (units.intensity_max) fields.scale = {*units.intensity_max, true, declared_by};
+    else if (fields.scale.is_sure && fields.scale.max > 1.0) units.intensity_max = fields.scale.max;
+    else fields.scale.max = 1.0;
+    if (set.intensity_max > 0.0)
+        fields.scale = {*(units.intensity_max = set.intensity_max), true, kFromSetting};
+    list_scale(log, fields.scale, "");
     notes.insert(notes.end(), fields.notes.begin(), fields.notes.end());
 }
 

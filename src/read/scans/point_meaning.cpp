@@ -122,14 +122,13 @@ IntensityScale estimate_scale(std::vector<double> intensities) {
     std::erase_if(intensities, [](double value) { return !std::isfinite(value); });
     if (intensities.empty()) return {};
     const auto [lowest, highest] = std::ranges::minmax(intensities);
-    IntensityScale scale{.is_sure = lowest >= 0.0, .note = {}};
+    IntensityScale scale{.is_sure = lowest >= 0.0,
+                         .reason = fmt::format("guess: the highest is {:.4g}", highest)};
     if (highest <= 1.0) return scale;
     if (highest <= kByteScale) {
         scale.max = kByteScale;
         // Values up to 100 can be percentages or bytes.
         if (highest <= kPercentScale) scale.is_sure = false;
-        scale.note = fmt::format("intensities up to {:.4g} are divided by 255{}", highest,
-                                 scale.is_sure ? "" : ", but they could also be percentages");
         return scale;
     }
     if (highest > kTwoByteScale) scale.is_sure = false;
@@ -138,8 +137,7 @@ IntensityScale estimate_scale(std::vector<double> intensities) {
         intensities.begin() + std::ptrdiff_t(kFewBrighter * double(intensities.size() - 1));
     std::nth_element(intensities.begin(), percentile, intensities.end());
     scale.max = std::max(*percentile, 1.0);
-    scale.note = fmt::format("intensities go up to {:.4g}; they are divided by {:.4g}, their {}th percentile",
-                             highest, scale.max, 100.0 * kFewBrighter);
+    scale.reason += fmt::format(", the {}th percentile is {:.4g}", 100.0 * kFewBrighter, scale.max);
     return scale;
 }
 

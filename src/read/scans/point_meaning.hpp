@@ -24,7 +24,7 @@ std::vector<double> list_values(const std::vector<PointTable>& clouds, const std
 struct IntensityScale {
     double max = 1.0;     ///< intensity that becomes 1
     bool is_sure = true;  ///< false if other scales are equally probable
-    std::string note;     ///< text about the scale for the user; empty if the scale is 0 to 1
+    std::string reason;   ///< why this scale is used
 };
 /// Estimates which intensity becomes 1: 1, 255, or a value that only few exceed.
 IntensityScale estimate_scale(std::vector<double> intensities);

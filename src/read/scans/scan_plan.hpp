@@ -46,6 +46,7 @@ struct LidarScanLayout {
 struct ScanLayout {
     std::vector<LidarScanLayout> lidars = {};
     bool motion_compensated = false;
+    std::string declared_by = "dataset";  ///< what says the conventions of the points
     /// True if the user describes the LiDARs in sequence.json. Other points are an error.
     bool is_described = false;
 };
