@@ -31,6 +31,12 @@ inline bool is_world_frame(std::string_view frame) {
     return frame == "map" || frame == "odom" || frame == "world" || frame == "earth";
 }
 
+/// Returns true for usual names of the vehicle frame. Clouds in this frame are usually
+/// merged from several sensors.
+inline bool is_vehicle_frame(std::string_view frame) {
+    return frame == "base_link" || frame == "base_footprint" || frame == "vehicle" || frame == "ego";
+}
+
 struct ClockOffset {
     std::int64_t offset_ns = 0;  ///< 0 if the time stamps may come from one clock
     /// Change of the offset from the begin to the end of the recording. 0 if it is small.
@@ -59,7 +65,8 @@ struct ChosenClouds {
 /// Selects the topics whose clouds are loaded, one for each LiDAR, and the main LiDAR.
 /// @param requested_topics  names of topics; empty: automatic selection
 /// @throws DataError if no topic contains clouds
-/// @throws UsageError if a requested topic contains no clouds
+/// @throws UsageError if a requested topic contains no clouds, or without a request, if
+/// topics of one frame are of the same kind
 ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
                            const std::vector<std::string>& requested_topics);
 
@@ -91,7 +98,8 @@ struct ChosenPoses {
 /// @param main_lidar_clouds  the poses must cover their times. Damaged times are
 /// corrected or their clouds removed
 /// @param options  bag.poses_from is a frame or pose topic; empty: automatic selection
-/// @throws UsageError if this is neither a frame nor a pose topic
+/// @throws UsageError if this is neither a frame nor a pose topic, or if several topics of
+/// the same kind have poses
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
                          const DatasetOptions& options);
 

@@ -181,14 +181,15 @@ void check_positions(const PointTable& table, const SelectedPoints& selected, co
     }
 }
 
-/// Sets the intensity of each point, or 0 if the table has none.
+/// Sets the intensity of each point, or 0 if the table has none or it is not finite.
 void convert_intensities(LidarPoints& points, const FieldConverter& convert, const PointTable& table,
                          const PointFileUnits& units) {
     const auto* intensity = table.find_field(units.intensity_field);
     if (!intensity) intensity = table.find_field(PointAttribute::intensity);
     if (!intensity) points.intensity.assign(points.size(), 0.0f);
-    convert.convert_field(points.intensity, intensity,
-                          [&](double value) { return scale_intensity(value, units, ""); });
+    convert.convert_field(points.intensity, intensity, [&](double value) {
+        return std::isfinite(value) ? scale_intensity(value, units, "") : 0.0f;
+    });
 }
 
 /// Converts return numbers of a file, which begin with 0 or 1, to numbers from 1. The

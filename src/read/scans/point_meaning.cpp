@@ -60,19 +60,30 @@ void note_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemanti
                                           : "'" + quote(semantics.intensity_field) + "'"));
 }
 
-/// Returns a note if a measured point has a negative intensity, otherwise an empty text.
-std::string describe_negatives(const std::vector<PointTable>& clouds, const std::string& field) {
+/// Adds notes if measured points have negative intensities, or intensities that are not
+/// finite.
+void note_bad_intensities(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
     double lowest = 0.0;
+    std::size_t n_not_finite = 0, n_returns = 0;
     for (const PointTable& cloud : clouds) {
-        const PointFieldView* values = cloud.find_field(field);
+        const PointFieldView* values = cloud.find_field(semantics.intensity_field);
         if (!values) continue;
         const std::vector<glm::vec3> points = read_positions(cloud);
         values->for_each(cloud.n, [&](std::size_t i, double value) {
-            if (value < lowest && is_return_point(points[i])) lowest = value;
+            if (!is_return_point(points[i])) return;
+            ++n_returns;
+            if (!std::isfinite(value)) ++n_not_finite;
+            else lowest = std::min(lowest, value);
         });
     }
-    if (lowest == 0.0) return "";
-    return fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest);
+    if (lowest < 0.0)
+        semantics.notes.push_back(
+            fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest));
+    if (n_not_finite > 0)
+        semantics.notes.push_back(fmt::format(
+            "{} of {} intensities in {} scans that were tested are NaN or infinite; they are read "
+            "as 0",
+            n_not_finite, n_returns, clouds.size()));
 }
 
 /// Returns the most frequent of some positions, or nothing if it is rare.
@@ -148,8 +159,7 @@ PointFieldSemantics interpret_fields(const std::vector<PointTable>& sample_cloud
     note_unread_fields(sample_clouds, semantics);
 
     semantics.scale = estimate_scale(list_values(sample_clouds, semantics.intensity_field));
-    const std::string negatives = describe_negatives(sample_clouds, semantics.intensity_field);
-    if (!negatives.empty()) semantics.notes.push_back(negatives);
+    note_bad_intensities(sample_clouds, semantics);
 
     semantics.returns = find_unnumbered(sample_clouds);
     if (semantics.returns.exist)
