@@ -21,8 +21,7 @@ namespace {
 constexpr double kMinDuration = 0.05, kMaxDuration = 3.0;
 // Maximum difference between the time of a point and the stamp of its cloud.
 constexpr double kBesideStamp_s = 2.0;
-constexpr double kLeastSweep_s = 0.1;
-constexpr double kMinCloudShare = 0.8;  // minimum share of the clouds that must agree
+constexpr double kMinCloudShare = 0.8;  // minimum share of clouds, or of times, that must agree
 // If all points of a cloud have the same time and it can change only in steps above this
 // value, the time is rounded: 32-bit floats of seconds since 1970 have steps of 128.
 constexpr double kLargestStep = 16.0;
@@ -172,7 +171,7 @@ PointCloudUnits estimate_times(const std::vector<TimeRange>& ranges,
         return units;
     }
     const double duration_s = usual_span * unit->seconds;
-    const double sweep_s = std::max({duration_s, cloud_interval_s, kLeastSweep_s});
+    const double sweep_s = std::max({duration_s, cloud_interval_s, kUsualPeriod_s});
     units.time_unit_s = unit->seconds;
     units.time_reference = find_time_reference(ranges, unit->seconds, sweep_s);
     // Without signs, negative offsets look like the large times of a clock.
@@ -188,14 +187,19 @@ PointCloudUnits estimate_times(const std::vector<TimeRange>& ranges,
 namespace fs = std::filesystem;
 
 /// Reads the points of a few scans. Leaves out files of rays, which have no points.
+/// @param frames  set to the index of the file of each table
 std::vector<PointTable> sample_tables(const std::vector<fs::path>& scan_files,
-                                      const std::vector<std::string>& column_names) {
-    std::vector<fs::path> with_points = scan_files;
+                                      const std::vector<std::string>& column_names,
+                                      std::vector<std::size_t>& frames) {
     const bool are_npz_rays = !has_npz_points(scan_files);
-    if (are_npz_rays) std::erase_if(with_points, [](const fs::path& file) { return !is_point_file(file); });
+    std::vector<std::size_t> with_points;
+    for (std::size_t i = 0; i < scan_files.size(); ++i)
+        if (!are_npz_rays || is_point_file(scan_files[i])) with_points.push_back(i);
     std::vector<PointTable> samples;
-    read_samples(with_points.size(),
-                 [&](std::size_t i) { samples.push_back(read_point_file(with_points[i], column_names)); });
+    read_samples(with_points.size(), [&](std::size_t k) {
+        samples.push_back(read_point_file(scan_files[with_points[k]], column_names));
+        frames.push_back(with_points[k]);
+    });
     return samples;
 }
 
@@ -215,16 +219,49 @@ std::vector<PointTable> sample_images(std::vector<fs::path> files) {
     return samples;
 }
 
+/// Returns true if most times of the samples can be those of their scans, with the unit
+/// and the reference in `units`. Some points can have wrong times.
+bool are_times_plausible(const PointFileUnits& units, const std::vector<PointTable>& samples,
+                         const std::vector<double>& frame_times_s) {
+    std::size_t n_times = 0, n_plausible = 0;
+    for (std::size_t i = 0; i < samples.size(); ++i)
+        if (const PointFieldView* times = samples[i].find_field(PointAttribute::time))
+            times->for_each(samples[i].n, [&](std::size_t, double time) {
+                const double offset_s =
+                    time * units.time_unit_s - (units.absolute_times ? frame_times_s[i] : 0.0);
+                ++n_times;
+                n_plausible += std::abs(offset_s) <= kMaxTimeOffset_s;
+            });
+    return double(n_plausible) >= kMinCloudShare * double(n_times);
+}
+
+/// Estimates the unit and the reference of point times that cannot have the default unit.
+/// If none fits, the times are ignored.
+void set_time_units(PointFileUnits& units, const PointCloudUnits& estimate, Notes& notes) {
+    notes.push_back(
+        fmt::format("{}; set the keys \"time_unit\" and \"point_times\" in sequence.json to change this",
+                    estimate.is_deskewed ? "all points of a scan have the same time, so the times are ignored"
+                                         : estimate.time_note));
+    if (estimate.time_reference == PointTimeReference::none) {
+        units.ignore_times = true;
+        return;
+    }
+    units.time_unit_s = estimate.time_unit_s;
+    units.skip_wrong_times = true;
+    if (!units.is_reference_open) return;
+    units.absolute_times = estimate.time_reference != PointTimeReference::stamp;
+    units.starts_at_frame = estimate.time_reference == PointTimeReference::sensor_clock;
+}
+
 /// Makes the reader ignore the times, with a note, if those of a sample have lost their
 /// precision: neighbouring values are too distant to order the points of a sweep.
 void drop_coarse_times(PointFileUnits& units, const std::vector<PointTable>& samples, Notes& notes) {
-    constexpr double kTypicalSweep_s = 0.1;
     for (const PointTable& cloud : samples) {
         const auto range = find_time_range(cloud);
         if (!range) continue;
         const auto [first, last] = *range;
         const double resolution = time_resolution(cloud);
-        const double span = last > first ? last - first : kTypicalSweep_s / units.time_unit_s;
+        const double span = last > first ? last - first : kUsualPeriod_s / units.time_unit_s;
         if (!is_coarse_time(resolution, span)) continue;
         units.ignore_times = true;
         notes.push_back(describe_coarse(last, resolution));
@@ -251,15 +288,21 @@ PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
     return units;
 }
 
-void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, Notes& notes) {
-    std::vector<PointTable> samples = sample_tables(scan_files, units.columns);
+void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, Log& log) {
+    Notes& notes = log.notes;
+    std::vector<std::size_t> frames;  // [samples]
+    std::vector<PointTable> samples = sample_tables(scan_files, units.columns, frames);
+    std::vector<double> frame_times_s;  // [samples]
+    for (const std::size_t frame : frames) frame_times_s.push_back(log.frames[frame].time_s);
+    if (units.is_unit_open && !are_times_plausible(units, samples, frame_times_s))
+        set_time_units(units, estimate_cloud_units(samples, frame_times_s, estimate_sweep_s(log, 0)), notes);
     for (PointTable& cloud : samples) unwrap_times(cloud, /*are_offsets=*/!units.absolute_times);
     PointFieldSemantics fields = interpret_fields(samples);
     if (samples.empty()) {  // The log has range images instead of points.
         samples = sample_images(scan_files);
         fields.scale = estimate_scale(list_values(samples, "intensity"));
     }
-    drop_coarse_times(units, samples, notes);
+    if (!units.ignore_times) drop_coarse_times(units, samples, notes);
     units.intensity_field = fields.intensity_field;
     units.no_return = fields.no_return;
     units.returns = fields.returns;

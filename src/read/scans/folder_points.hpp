@@ -26,7 +26,8 @@ LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, 
 
 /// Estimates the units that are not known, from the points of some scans. If several
 /// intensity scales are possible, sets none. Intensities above 1 are then an error.
-void fill_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files, Notes& notes);
+/// @param scan_files  [frames of the log]
+void fill_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files, Log& log);
 
 /// Scan of each frame, from files or messages. Several threads can call the functions.
 class ScanProvider {

@@ -50,7 +50,10 @@ public:
     LidarPoints read_points(std::size_t frame_index) const override {
         const PointTable table = read_point_file(files_[frame_index], units_.columns);
         check_deskewing(table.is_deskewed, layout_.motion_compensated, frame_name(frame_index));
-        return convert_table(table, units_, log_.frames[frame_index].time_s, frame_name(frame_index));
+        double frame_time_s = log_.frames[frame_index].time_s;
+        if (const auto times = find_time_range(table); times && units_.starts_at_frame)
+            frame_time_s = units_.time_unit_s * (*times)[0];
+        return convert_table(table, units_, frame_time_s, frame_name(frame_index));
     }
     Scan read_rays(std::size_t frame_index) const override {
         const Frame& frame = log_.frames[frame_index];
@@ -378,7 +381,7 @@ void read_scans(Log& log, const ScanLayout& layout, const ScanProvider& scan_pro
 
 void read_scan_files(Log& log, const ScanLayout& layout, PointFileUnits units,
                      const std::vector<fs::path>& scan_files, const DatasetOptions& options) {
-    fill_units(units, scan_files, log.notes);
+    fill_units(units, scan_files, log);
     read_scans(log, layout, FolderScans(log, layout, units, scan_files), options);
 }
 

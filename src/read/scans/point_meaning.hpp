@@ -28,6 +28,10 @@ struct IntensityScale {
 /// Estimates which intensity becomes 1: 1, 255, or a value that only few exceed.
 IntensityScale estimate_scale(std::vector<double> intensities);
 
+/// Two points can be returns of one ray if the angle between their directions is smaller.
+/// It is not 0, because files round coordinates: a centimetre at 7 m has this angle.
+inline constexpr double kOneRay_rad = 1.4e-3;
+
 /// How clouds store two returns of each ray without numbers.
 struct UnnumberedReturns {
     bool exist = false;
