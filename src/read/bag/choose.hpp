@@ -98,8 +98,8 @@ struct ChosenPoses {
 /// @param main_lidar_clouds  the poses must cover their times. Damaged times are
 /// corrected or their clouds removed
 /// @param options  bag.poses_from is a frame or pose topic; empty: automatic selection
-/// @throws UsageError if this is neither a frame nor a pose topic, or if several topics of
-/// the same kind have poses
+/// @throws UsageError if this is neither a frame nor a pose topic, or if several topics
+/// of the same kind have poses
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
                          const DatasetOptions& options);
 

@@ -51,7 +51,10 @@ public:
     LidarPoints read_points(std::size_t frame_index) const override {
         const PointTable table = read_point_file(files_[frame_index], units_.columns);
         check_deskewing(table.is_deskewed, layout_.motion_compensated, frame_name(frame_index));
-        return convert_table(table, units_, log_.frames[frame_index].time_s, frame_name(frame_index));
+        double frame_time_s = log_.frames[frame_index].time_s;
+        if (const auto times = find_time_range(table); times && units_.starts_at_frame)
+            frame_time_s = units_.time_unit_s * (*times)[0];
+        return convert_table(table, units_, frame_time_s, frame_name(frame_index));
     }
     Scan read_rays(std::size_t frame_index) const override {
         const Frame& frame = log_.frames[frame_index];

@@ -29,6 +29,10 @@ struct IntensityScale {
 /// Estimates which intensity becomes 1: 1, 255, or a value that only few exceed.
 IntensityScale estimate_scale(std::vector<double> intensities);
 
+/// Two points can be returns of one ray if the angle between their directions is smaller.
+/// It is not 0, because files round coordinates: a centimetre at 7 m has this angle.
+inline constexpr double kOneRay_rad = 1.4e-3;
+
 /// Finds out whether clouds have two returns of each ray without return numbers. They
 /// store most single returns twice. Without copies, pairs of points with equal ring, time
 /// and direction are second returns. In some clouds, all rays can have one return.

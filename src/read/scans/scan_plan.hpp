@@ -97,6 +97,9 @@ struct ScanPlan {
     bool is_contradiction = false;  ///< true if the fit failed, although the LiDAR should spin
 };
 
+/// Duration of a sweep of most LiDARs of vehicles.
+inline constexpr double kUsualPeriod_s = 0.1;
+
 /// Returns the interval in which the times of the points of a scan must be.
 /// @param sweep_s  duration of a sweep
 TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s);

@@ -65,6 +65,7 @@ std::vector<glm::vec3> read_image_points(const read::FolderHead& header, const r
 std::vector<glm::vec3> read_vehicle_points(const read::FolderHead& header, const LogFrame& frame) {
     read::PointFileUnits units = header.units;
     units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
+    units.ignore_times = true;
     std::vector<glm::vec3> points;
     if (read::is_image_file(frame.scan)) {
         points = read_image_points(header, units, frame);
