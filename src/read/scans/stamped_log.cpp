@@ -13,6 +13,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/median.hpp"
+#include "read/scans/cloud_units.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/frame_range.hpp"
 #include "read/scans/pose_files.hpp"
