@@ -79,8 +79,11 @@ void add_track_label(const std::string& line, const std::string& where, const Lo
              quote(line));
     const auto match = std::ranges::lower_bound(log.frames, *number, {}, &Frame::index);
     if (match == log.frames.end() || match->index != *number) return;
-    BoxLabel label{
-        .id = track, .category = type, .size_m = {(*v)[9], (*v)[8], (*v)[7]}, .time_s = match->time_s};
+    BoxLabel label{.id = track,
+                   .category = type,
+                   .size_m = {(*v)[9], (*v)[8], (*v)[7]},
+                   .time_s = match->time_s,
+                   .world_from_box = {}};
     const double angle = (*v)[13];
     const glm::dvec3 forward = velo_from_camera.rotation * glm::dvec3(std::cos(angle), 0.0, -std::sin(angle)),
                      bottom = velo_from_camera * glm::dvec3((*v)[10], (*v)[11], (*v)[12]);
