@@ -8,6 +8,8 @@
 
 #include <relidar/read/dataset.hpp>
 
+#include "read/scans/frame_range.hpp"
+
 namespace relidar {
 
 // The sources and the conventions of a log (Log::conventions) describe the frames. The
@@ -18,6 +20,12 @@ Log load_boreas(const std::filesystem::path& folder, const DatasetOptions& optio
 /// @param drive  folder that contains velodyne_points
 Log load_kitti_raw(const std::filesystem::path& drive, const DatasetOptions& options);
 Log load_odometry(const std::filesystem::path& folder, const DatasetOptions& options);
+/// DatasetOptions::sequence is the name of a sequence ("0003"), or its number ("3").
+/// @param folder  folder that contains velodyne/, label_02/ and others, or a folder above
+Log load_kitti_tracking(const std::filesystem::path& folder, const DatasetOptions& options);
+/// Also loads View-of-Delft. Boxes are not loaded, because they have no track ids.
+/// @param folder  folder that contains velodyne/, label_2/ and others, or a folder above
+Log load_kitti_object(const std::filesystem::path& folder, const DatasetOptions& options);
 /// DatasetOptions::sequence is the name of the drive's folder, the four digits in this
 /// name, or a part of drive 0000 (lidar_rt_benchmark.hpp).
 /// @param folder  folder that contains data_3d_raw
@@ -44,13 +52,5 @@ Log load_synthetic(const std::filesystem::path& folder, const DatasetOptions& op
 /// (lidar_rt_benchmark.hpp), of which only the LiDAR TOP is read.
 /// @param path  a .tfrecord file, or a folder of such files
 Log load_waymo(const std::filesystem::path& path, const DatasetOptions& options);
-
-/// Returns the frames [begin, end) of a requested range in a log with n frames.
-/// @throws UsageError if the range contains no frame of the log
-FrameRange limit_frames(const FrameRange& range, int n_frames, const std::string& log_name);
-
-/// Reports that a log has no frame in the requested range.
-/// @param first,last  numbers of the frames of the log
-[[noreturn]] void fail_empty_range(const FrameRange& range, const std::string& log_name, int first, int last);
 
 }  // namespace relidar

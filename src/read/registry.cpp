@@ -16,11 +16,10 @@
 #include "base/files.hpp"
 #include "base/parallel.hpp"
 #include "log/checks/checks.hpp"
+#include "read/files/dropped_ray.hpp"
 #include "read/files/other_formats.hpp"
 #include "read/files/point_table.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/readers.hpp"
-#include "read/scans/dropped_ray.hpp"
 #include "read/scans/pose_conventions.hpp"
 
 namespace relidar {
@@ -42,7 +41,11 @@ struct DatasetKind {
 constexpr DatasetKind kDatasetKinds[] = {
     {"argoverse2", "city_SE3_egovehicle.feather", "an Argoverse 2 log", load_argoverse2},
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
-    {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_odometry},
+    {"kitti_tracking", "label_02 training/label_02 tracking/training/label_02 velodyne/0000",
+     "the layout of KITTI tracking", load_kitti_tracking, true},
+    {"kitti_object", "label_2 training/label_2 lidar/training/label_2 calib/000000.txt",
+     "the layout of KITTI object", load_kitti_object},
+    {"kitti_odometry", "calib.txt velodyne/000000.bin", "a KITTI odometry sequence", load_odometry},
     {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
     {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
     {"nuscenes", "v1.*", "nuScenes or TruckScenes", load_nuscenes, true},
@@ -117,6 +120,32 @@ void require_sequence_json(const fs::path& path) {
          R"(, and add poses.txt or use dataset.poses=none; see docs/datasets.md)",
          path.string(), n_scans, has_subfolder ? "the folder of the scans" : "them",
          has_subfolder ? "" : R"(, "lidars": [{"name": "lidar", "scans": "."}])");
+}
+
+/// Returns an error message that names the folder to use instead, for an odometry
+/// log, a folder of drives, and a folder inside a drive. Otherwise an empty string.
+/// @param expected_subfolder  subfolder that every drive has
+std::string describe_mistake(const fs::path& folder, const std::string& expected_subfolder) {
+    std::error_code failed;
+    const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
+    if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
+        return "the folder is a KITTI odometry sequence with motion-compensated scans; expected also its "
+               "file calib.txt, or the KITTI raw drive from which the sequence was made";
+    // A folder above this one may be the dataset.
+    for (fs::path above = fs::canonical(folder, failed).parent_path(); !failed && above.has_relative_path();
+         above = above.parent_path())
+        if (fs::exists(above / expected_subfolder, failed))
+            return fmt::format("the folder is inside a dataset; use the folder of the dataset, {}",
+                               above.string());
+    // Subfolders may be datasets.
+    std::vector<std::string> datasets;
+    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
+        if (fs::exists(entry->path() / expected_subfolder, failed))
+            datasets.push_back(entry->path().filename().string());
+    if (datasets.empty()) return "";
+    return fmt::format("the folder contains {} dataset{}; use the folder of one of them, such as {}",
+                       datasets.size(), datasets.size() == 1 ? "" : "s",
+                       (folder / *std::ranges::min_element(datasets)).string());
 }
 
 /// Calls visit(range_m) for all returns of a scan.
@@ -320,17 +349,6 @@ void estimate_sweeps(Log& log) {
 
 }  // namespace
 
-void fail_empty_range(const FrameRange& range, const std::string& log_name, int first, int last) {
-    fail<UsageError>("frames {}:{} select no frame of {}, expected numbers in [{}, {}]", range.begin,
-                     range.end < 0 ? "" : std::to_string(range.end), log_name, first, last);
-}
-
-FrameRange limit_frames(const FrameRange& range, int n_frames, const std::string& log_name) {
-    const int end = range.end < 0 ? n_frames : std::min(range.end, n_frames);
-    if (range.begin >= end) fail_empty_range(range, log_name, 0, n_frames - 1);
-    return {range.begin, end};
-}
-
 bool is_dataset(const fs::path& path) {
     try {
         return std::any_of(std::begin(kDatasetKinds), std::end(kDatasetKinds),
@@ -356,7 +374,7 @@ std::string detect_kind(const fs::path& path) {
     if (const std::string other = find_unsupported(path); !other.empty())
         fail("{} is not a dataset: {}", path.string(), other);
     for (const DatasetKind& kind : kDatasetKinds) {
-        const std::string mistake = kitti::describe_mistake(path, kind.marker);
+        const std::string mistake = describe_mistake(path, kind.marker);
         if (!mistake.empty()) fail("{} is not a dataset: {}", path.string(), mistake);
     }
     fail("{} is not a dataset of a known format, expected one of: {}", path.string(), supported_formats);
@@ -386,10 +404,12 @@ Log load_log(const std::string& dataset, const DatasetOptions& options) {
     // limits are applied after far markers are removed, because a far marker is not a
     // maximum range.
     if (!options.lidars.empty()) keep_lidars(log, options.lidars);
-    read::fix_inverted_poses(log);
+    read::fix_inverted_poses(log, options.conventions);
     estimate_sweeps(log);
     remove_drop_markers(log);
     apply_range_limits(log, {options.min_range_m, options.max_range_m});
+    checks::correct_boxes(log, options.conventions);
+    read::check_settings_used(log, options.conventions);
     checks::remove_ego_boxes(log);
     checks::note_faults(log);
     return log;

@@ -104,7 +104,7 @@ void run_iterations(TrainLoop& loop, CheckpointKeeper& checkpoints, const Config
         if (!stop && !checkpoints.is_due(step)) continue;
         loop.finish_steps();
         collect_lines();  // A checkpoint includes the log lines.
-        checkpoints.save_state(loop, result, trained_s());
+        checkpoints.save_state([&](Checkpoint& state) { loop.save_to(state); }, result, trained_s());
     }
     loop.finish();
     collect_lines();

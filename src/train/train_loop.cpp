@@ -13,7 +13,7 @@
 #include <relidar/run/stage_options.hpp>
 
 #include "base/fail.hpp"
-#include "train/iteration_reports.hpp"
+#include "train/reports/iteration_reports.hpp"
 #include "train/poses/register_options.hpp"
 
 namespace relidar {

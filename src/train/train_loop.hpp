@@ -13,10 +13,10 @@
 
 #include "base/random.hpp"
 #include "train/drops/drop_excess.hpp"
-#include "train/drops/sensor_drop.hpp"
+#include "train/frames/sensor_drop.hpp"
 #include "train/frames/batch.hpp"
 #include "train/frames/training_frames.hpp"
-#include "train/iteration_reports.hpp"
+#include "train/reports/iteration_reports.hpp"
 #include "train/poses/pose_refiner.hpp"
 
 namespace relidar {

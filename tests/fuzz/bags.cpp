@@ -7,9 +7,9 @@
 #include "base/bytes.hpp"
 #include "base/codecs/byte_reader.hpp"
 #include "base/list_text.hpp"
+#include "read/bag/packet_messages.hpp"
 #include "read/packets/ouster.hpp"
 #include "read/packets/packet_log.hpp"
-#include "read/packets/packet_messages.hpp"
 
 namespace relidar::fuzz {
 namespace {
@@ -56,7 +56,7 @@ void read_message(std::string_view input, const fs::path&) {
         bag::to_point_table(bag::read_cloud(topic, message.bytes), message);
     } else if (bag::find_purpose(topic) == bag::MessagePurpose::packets) {
         packets::PacketIndex log;
-        const std::vector<packets::ReceivedPacket> views = packets::read_packets(topic, bytes, 0).packets;
+        const std::vector<packets::ReceivedPacket> views = bag::read_packets(topic, bytes, 0).packets;
         for (int k = 0; k < 2; ++k) log.add_packets(views, 0, {}, {});
         read_turns(log, views);
     } else if (bag::find_purpose(topic) == bag::MessagePurpose::boxes) {

@@ -8,7 +8,8 @@
 #include "read/datasets/kitti/hdl64_rings.hpp"
 #include "read/datasets/kitti/kitti_360.hpp"
 #include "read/datasets/kitti/kitti_360_folder.hpp"
-#include "read/kitti/log_files.hpp"
+#include "read/datasets/kitti/log_files.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar::fuzz {
 namespace {
@@ -81,7 +82,7 @@ void read_drive_texts(const Drive& drive, unsigned options) {
                                              log);
                  },
                  [&] {
-                     if (options & kPosesFile) kitti::read_matrices(drive.poses, frames);
+                     if (options & kPosesFile) read::read_matrices(drive.poses, frames);
                      else kitti::read_oxts_poses(drive.log.folder, frames);
                  },
                  [&] { kitti::split_rings(kitti::read_kitti_scan(drive.log.scan(0))); },

@@ -179,6 +179,30 @@ def check_includes(tree):
             yield f"{path}:1: a cycle or a chain of more than {MAX_CHAIN} includes: {' '.join(chain(path, frozenset())[:12])}"
 
 
+def check_folders(tree):
+    """Finds circles of includes between the folders of src/."""
+    graph = {}   # {folder: {included folder: the first include}}
+    for path in tree:
+        for line, target in list_includes(tree, path) if path.startswith("src/") and path.endswith(CODE) else ():
+            here, there = posixpath.dirname(path), posixpath.dirname(target)
+            if there != here and target.startswith("src/"):
+                graph.setdefault(here, {}).setdefault(there, f"{path}:{line}: includes {target}")
+
+    def find_path(here, goal, seen):
+        for there in graph.get(here, {}):
+            rest = [] if there == goal else None
+            if rest is None and there not in seen:
+                seen.add(there)
+                rest = find_path(there, goal, seen)
+            if rest is not None:
+                return [there, *rest]
+        return None
+    for folder, includes in graph.items():
+        for there, include in includes.items():
+            if back := find_path(there, folder, {there}):
+                yield f"{include}: a circle of folders: {' -> '.join([folder, there, *back])}"
+
+
 def check_umbrella(tree):
     seen, todo = {UMBRELLA}, [UMBRELLA]
     while todo:
@@ -437,7 +461,7 @@ def check_names(tree):
                 yield f"{path}:{line}: the namespace {space[1]} is no folder of the path"
 
 
-RULES = (check_includes, check_umbrella, check_files, check_names, check_documents, check_file_table)
+RULES = (check_includes, check_folders, check_umbrella, check_files, check_names, check_documents, check_file_table)
 
 # A fault for each rule: the file, the text that is added, and a part of the violation.
 FAULTS = [
@@ -448,6 +472,7 @@ FAULTS = [
     ("src/log/sensor/rays.cpp", "#include <volk.h>\n", "<volk.h> is not allowed here"),
     ("tools/view/view.cpp", '#include "base/files.hpp"\n', "tools see only include/relidar"),
     ("src/base/files.hpp", '#include "base/files.hpp"\n', "a cycle"),
+    ("src/read/files/file_order.cpp", '#include "read/scans/scan_plan.hpp"\n', "a circle of folders"),
     (UMBRELLA, "#include <relidar/diff/forward.hpp>\n", "must not include"),
     ("src/base/new.cpp", "int x;\n", "no SPDX"),
     ("src/base/files.hpp", "\n" * 600, "lines, at most"),

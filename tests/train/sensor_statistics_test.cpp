@@ -13,7 +13,7 @@
 #include "../support/device.hpp"
 #include "base/random.hpp"
 #include "train/drops/drop_excess.hpp"
-#include "train/drops/sensor_drop.hpp"
+#include "train/frames/sensor_drop.hpp"
 
 namespace relidar {
 namespace {

@@ -13,7 +13,7 @@
 #include "gpu/context.hpp"
 #include "support/names.hpp"
 #include "support/same_surfels.hpp"
-#include "train/iteration_reports.hpp"
+#include "train/reports/iteration_reports.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {

@@ -4,7 +4,6 @@
 // content of messages.
 #pragma once
 
-#include <compare>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -13,7 +12,6 @@
 #include <memory>
 #include <string>
 #include <string_view>
-#include <tuple>
 #include <vector>
 
 #include <fmt/format.h>
@@ -22,6 +20,7 @@
 #include <relidar/base/progress.hpp>
 
 #include "base/bytes.hpp"
+#include "read/files/recording.hpp"
 
 namespace relidar::bag {
 
@@ -31,23 +30,6 @@ struct BagTopic {
     /// message type without the "/msg/" of ROS 2, for example "sensor_msgs/PointCloud2"
     std::string type;
     std::string encoding;  ///< encoding of the messages, for example "cdr", "ros1" or "protobuf"
-};
-
-/// Position of a message in a recording.
-struct MessagePosition {
-    static constexpr std::uint64_t kNoChunk = std::numeric_limits<std::uint64_t>::max();
-
-    /// Byte offset of the chunk (block of messages) that contains the message. Without a
-    /// chunk, byte offset of the message. In SQLite, the row number of the message.
-    std::uint64_t at = 0;
-    std::uint64_t in_chunk = kNoChunk;  ///< byte offset of the message's record in the unpacked chunk
-    std::uint32_t file = 0;             ///< index of the file in the recording
-
-    bool operator==(const MessagePosition&) const = default;
-    /// Compares positions in the order of the recording.
-    auto operator<=>(const MessagePosition& other) const {
-        return std::tie(file, at, in_chunk) <=> std::tie(other.file, other.at, other.in_chunk);
-    }
 };
 
 struct BagMessage {

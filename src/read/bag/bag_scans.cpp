@@ -9,7 +9,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
-#include "read/packets/packet_messages.hpp"
+#include "read/bag/packet_messages.hpp"
 #include "read/scans/point_times.hpp"
 
 namespace relidar::bag {
@@ -145,8 +145,7 @@ Scan BagScans::read_rays(std::size_t frame) const {
     std::vector<std::vector<packets::ReceivedPacket>> packets_of_message;
     for (const auto& source : clouds.packets.messages_of(revolution)) {
         messages.push_back(bag_.read_message(topic, source.message_position));
-        packets_of_message.push_back(
-            packets::read_packets(topic, messages.back().bytes, source.log_ns).packets);
+        packets_of_message.push_back(read_packets(topic, messages.back().bytes, source.log_ns).packets);
     }
     // The time of the revolution is that at which the head faces forward. The time of the
     // frame differs if it is that of another LiDAR.
@@ -155,7 +154,8 @@ Scan BagScans::read_rays(std::size_t frame) const {
     return clouds.packets.decode(revolution, packets_of_message, lidar.sensor, frame_ns);
 }
 
-LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s) {
+LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s,
+                          const Conventions& set) {
     LidarTopic topic{&cloud_topic};
     const bool are_units_known = !cloud_topic.packets.empty();
     if (are_units_known) return topic;
@@ -167,7 +167,8 @@ LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic
         stamps_s.push_back(1e-9 * double(entry.stamp_ns + entry.correction_ns));
         topic.samples.emplace(entry.message_position, samples.back());
     });
-    topic.units = read::estimate_cloud_units(samples, stamps_s, cloud_period_s);
+    topic.units = read::estimate_cloud_units(samples, stamps_s, cloud_period_s, set);
+    if (set.intensity_max > 0.0) topic.units.fields.scale = {set.intensity_max, true, kFromSetting};
     return topic;
 }
 

@@ -10,6 +10,8 @@
 #include <string_view>
 #include <vector>
 
+#include <relidar/read/dataset.hpp>
+
 #include "read/bag/survey.hpp"
 
 namespace relidar::bag {
@@ -88,17 +90,18 @@ struct ChosenPoses {
     std::string world;        ///< frame in which `path` is expressed
     std::string vehicle;      ///< frame of the vehicle, on which the LiDARs are mounted
     std::string description;  ///< text about the selected source for the user
-    std::string clock_note;   ///< text about a clock offset between clouds and poses; may be empty
+    std::string clock_note;   ///< text about an offset between clouds and poses that is not corrected
+    std::vector<UsedConvention> conventions;  ///< of the poses
     std::vector<std::string> notes;
 };
 /// Selects the source of the vehicle poses and the clock of the log.
 /// @param main_lidar_clouds  the poses must cover their times. Damaged times are
 /// corrected or their clouds removed
-/// @param requested_frame_or_topic  frame or pose topic; empty: automatic selection
-/// @param must_be_one  several pose topics of the same kind are an error
-/// @throws UsageError if `requested_frame_or_topic` is neither a frame nor a pose topic
+/// @param options  bag.poses_from is a frame or pose topic; empty: automatic selection
+/// @throws UsageError if this is neither a frame nor a pose topic, or if several topics
+/// of the same kind have poses
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
-                         const std::string& requested_frame_or_topic, bool must_be_one);
+                         const DatasetOptions& options);
 
 /// Fits the path of the vehicle, which must be known, to positions on the earth.
 GeoreferenceFit find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames);

@@ -8,7 +8,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/bag/choose.hpp"
-#include "read/packets/packet_messages.hpp"
+#include "read/bag/packet_messages.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -69,7 +69,7 @@ void explain_topic(const BagRecording& bag, const BagIndex& index, std::size_t t
     if (counts.n == 0 && find_purpose(topic) == MessagePurpose::cloud)
         reasons.push_back(fmt::format("topic {} contains no messages", name));
     if (counts.n_broken > 0) reasons.push_back(fmt::format("{}: {}", name, counts.broken));
-    if (topic.type == packets::kOtherDatagrams)
+    if (topic.type == kOtherDatagrams)
         reasons.push_back(fmt::format("{} contains {} datagrams that relidar cannot decode as LiDAR packets",
                                       name, counts.n));
 }

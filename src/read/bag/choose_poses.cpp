@@ -8,6 +8,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/bag/choose.hpp"
+#include "read/scans/pose_conventions.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -236,8 +237,16 @@ const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSo
 /// Shifts the poses in time if their stamps come from another clock than those of the
 /// clouds. The offset must be certain, and more clouds must then have a pose. Otherwise
 /// only warns of the offset.
+/// @param known_s  offset that the user has set
 void correct_pose_clock(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
-                        const PoseSource& source) {
+                        const PoseSource& source, std::optional<double> known_s) {
+    const auto list = [&](const std::string& value, const char* from) {
+        choice.conventions.push_back({"clock", value, from, "conventions.clock_offset_s"});
+    };
+    if (known_s) {
+        set_path(choice, index, source, choice.zero_ns - std::llround(1e9 * *known_s));
+        return list(fmt::format("clouds {:.3f} s ahead of the poses", *known_s), kFromSetting);
+    }
     const std::vector<StampedPose>* poses = find_samples(index, source);
     if (choice.clock == LogClock::recorder || !poses) return;
     const ClockOffset offset = estimate_offset(list_times(clouds.clouds), list_times(*poses));
@@ -250,13 +259,16 @@ void correct_pose_clock(ChosenPoses& choice, const BagIndex& index, const CloudT
     constexpr std::size_t kMinExtraClouds = 2;
     const bool is_better = n_corrected > n_posed + kMinExtraClouds || n_corrected == clouds.clouds.size();
     const bool is_corrected = offset.is_clear && is_better;
-    if (is_corrected) choice = std::move(corrected);
-    choice.clock_note =
-        fmt::format("compared with the recording times, the time stamps of the clouds are {}{}",
-                    offset.describe("the time stamps of the poses"),
-                    is_corrected ? ", so their clocks differ; the poses are shifted by this time"
-                                 : "; the clocks differ or messages are late; nothing is corrected, so "
-                                   "check the poses");
+    const std::string difference = offset.describe("the time stamps of the poses");
+    if (is_corrected) {
+        choice = std::move(corrected);
+        return list("clouds " + difference, "guess: stamps and recording times");
+    }
+    choice.clock_note = fmt::format(
+        "compared with the recording times, the time stamps of the clouds are {}; the clocks "
+        "differ or messages are late; nothing is corrected; check the poses, or set "
+        "conventions.clock_offset_s",
+        difference);
 }
 
 std::int64_t first_cloud_ns(const CloudTopic& clouds, LogClock clock) {
@@ -296,13 +308,15 @@ void select_clock(ChosenPoses& choice, bool has_cloud_stamps, bool lacks_pose_st
 }  // namespace
 
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
-                         const std::string& requested_frame_or_topic, bool must_be_one) {
+                         const DatasetOptions& options) {
+    const std::string& requested = options.bag.poses_from;
     ChosenPoses choice;
     const std::vector<std::string> frame_chain = index.frames.path_to_root(main_lidar_clouds.frame);
     std::optional<PoseSource> source;
-    if (requested_frame_or_topic.empty())
-        source = select_source(bag, index, frame_chain, must_be_one, choice.notes);
-    else source = find_source(bag, index, frame_chain, requested_frame_or_topic, choice.notes);
+    // Several topics of one kind are an error, unless a file has the poses.
+    const bool must_be_one = options.poses_file.empty();
+    if (requested.empty()) source = select_source(bag, index, frame_chain, must_be_one, choice.notes);
+    else source = find_source(bag, index, frame_chain, requested, choice.notes);
 
     // Selects the clock, then corrects damaged times, because the first becomes 0 s.
     const std::vector<StampedPose>* poses = source ? find_samples(index, *source) : nullptr;
@@ -320,7 +334,21 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     choice.description = source->description;
     // Sets the poses on this clock. If theirs differs, shifts them or changes the clock.
     set_path(choice, index, *source, choice.zero_ns);
-    correct_pose_clock(choice, index, main_lidar_clouds, *source);
+    if (options.poses_file.empty()) {
+        const Conventions& set = options.conventions;
+        const std::string& topic = source->topic ? bag.topics()[source->topic->topic].name : "/tf";
+        choice.conventions.push_back(
+            {"vehicle poses", fmt::format("'{}' in '{}', {}", source->vehicle, source->world, topic),
+             requested.empty() ? "guess: the usual topics" : kFromSetting, "dataset.poses_from"});
+        const bool is_wxyz = set.quaternions == Conventions::Quaternions::wxyz;
+        if (source->topic)
+            choice.conventions.push_back({"quaternions", is_wxyz ? "w x y z" : "x y z w",
+                                          set.quaternions == Conventions::Quaternions::automatic
+                                              ? "type of the messages"
+                                              : kFromSetting,
+                                          "conventions.quaternions"});
+        correct_pose_clock(choice, index, main_lidar_clouds, *source, read::read_clock_offset_s(set));
+    }
     try_recorder_clock(choice, index, main_lidar_clouds, *source);
     return choice;
 }

@@ -7,7 +7,7 @@
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "read/packets/packet_messages.hpp"
+#include "read/bag/packet_messages.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -211,10 +211,10 @@ CloudMessage read_ros_cloud(MessageReader& reader) {
 }
 
 MessagePurpose find_purpose(const BagTopic& topic) {
-    if (packets::has_packets(topic)) return MessagePurpose::packets;
+    if (has_packets(topic)) return MessagePurpose::packets;
     const bool is_protobuf = topic.encoding == "protobuf";
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return MessagePurpose::nothing;
-    if (packets::can_have_metadata(topic)) return MessagePurpose::metadata;
+    if (can_have_metadata(topic)) return MessagePurpose::metadata;
     if (is_protobuf != topic.type.starts_with("foxglove.")) return MessagePurpose::nothing;
     const auto matching_type = std::ranges::find(kTypeUses, topic.type, &MessageTypePurpose::type);
     return matching_type == std::end(kTypeUses) ? MessagePurpose::nothing : matching_type->use;

@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "base/bytes.hpp"
+#include "read/files/recording.hpp"
 
 namespace relidar::bag {
 
@@ -57,19 +58,6 @@ private:
 /// @param size  according to the file; impossible sizes are rejected
 /// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t size);
-
-/// Removes the extension ".gz", ".zst" or ".zstd", if the path has it.
-inline std::filesystem::path strip_packed(const std::filesystem::path& file) {
-    const std::filesystem::path ending = file.extension();
-    const bool is_packed = ending == ".gz" || ending == ".zst" || ending == ".zstd";
-    return is_packed ? std::filesystem::path(file).replace_extension() : file;
-}
-/// Returns true if a file, which may be compressed, has the extension of a recording.
-inline bool is_recording_file(const std::filesystem::path& file) {
-    const std::filesystem::path ending = strip_packed(file).extension();
-    return ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
-           ending == ".db3";
-}
 
 /// A temporary unpacked copy of a file that was compressed with gzip or zstd. The
 /// destructor deletes the copy. On Linux, programs that opened it before can still read

@@ -19,10 +19,10 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/bag/bag_file.hpp"
+#include "read/bag/packet_messages.hpp"
 #include "read/bag/part_file.hpp"
 #include "read/packets/decoder.hpp"
 #include "read/packets/ouster.hpp"
-#include "read/packets/packet_messages.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -425,9 +425,8 @@ private:
                 name = fmt::format("{} ({})", datagram.source, stream.ouster->serial);
         stream.topic = topics.topic_index(
             stream.livox_frame.empty()
-                ? BagTopic{std::move(name),
-                           stream.product ? packets::kLidarDatagrams : packets::kOtherDatagrams,
-                           packets::kLidarDatagrams}
+                ? BagTopic{std::move(name), stream.product ? kLidarDatagrams : kOtherDatagrams,
+                           kLidarDatagrams}
                 : BagTopic{std::move(name), packets::kLivoxType, packets::kLivoxEncoding});
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }

@@ -8,7 +8,7 @@
 #include <fmt/ranges.h>
 
 #include "base/files.hpp"
-#include "read/packets/packet_messages.hpp"
+#include "read/bag/packet_messages.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -83,7 +83,7 @@ std::vector<std::string> describe_topics(const BagRecording& bag, const BagIndex
         const TopicStatistics& facts = index.facts[t];
         std::string line = fmt::format("topic {}: {}", quote(topic.name), quote(topic.type));
         // The messages of a network capture are groups of packets that the reader makes.
-        const bool has_messages = topic.type != packets::kLidarDatagrams;
+        const bool has_messages = topic.type != kLidarDatagrams;
         if (has_messages) line += fmt::format(", {} messages", facts.n);
         if (has_messages && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
         line += describe_clouds(bag, index, t);

@@ -12,9 +12,9 @@
 #include <relidar/base/error.hpp>
 
 #include "base/median.hpp"
+#include "read/bag/packet_messages.hpp"
 #include "read/bag/part_file.hpp"
 #include "read/packets/ouster.hpp"
-#include "read/packets/packet_messages.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -39,7 +39,7 @@ public:
             if (late_.contains(message.topic))
                 count_broken(message.topic, [&] { index_packets(bag_.topics()[message.topic], message); });
         };
-        bag_.read_messages(packets::is_ouster_topic, index_late, progress);
+        bag_.read_messages(is_ouster_topic, index_late, progress);
     }
 
 private:
@@ -149,12 +149,12 @@ private:
 
     /// Adds the packets of a message. Postpones Ouster packets without metadata.
     void index_packets(const BagTopic& topic, const BagMessage& message) {
-        const auto [frame, views] = packets::read_packets(topic, message.bytes, message.log_ns);
+        const auto [frame, views] = read_packets(topic, message.bytes, message.log_ns);
         if (views.empty()) return;
         packets::DecoderCalibration calibration{read_corrections()};
-        if (topic.encoding == packets::kLidarDatagrams) read_metadata();
+        if (topic.encoding == kLidarDatagrams) read_metadata();
         calibration.ouster = packets::find_metadata(ousters_, topic.name, views.front().bytes);
-        if (packets::is_ouster_topic(topic)) {
+        if (is_ouster_topic(topic)) {
             const bool was_postponed = late_.contains(message.topic);
             if (!has_read_metadata_ && (was_postponed || !calibration.ouster)) {
                 late_.insert(message.topic);
@@ -268,7 +268,7 @@ private:
 /// contains the driver's frame `os_lidar`, adds the transform to it, half a turn about z.
 void add_ouster_frames(const BagRecording& bag, BagIndex& index) {
     const auto is_ouster = [&](const CloudTopic& clouds) {
-        return packets::is_ouster_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty();
+        return is_ouster_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty();
     };
     const auto has_parent = [&](const std::string& frame) {
         return index.frames.path_to_root(frame).size() > 1;

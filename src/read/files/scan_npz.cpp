@@ -7,9 +7,10 @@
 #include <fmt/ranges.h>
 
 #include <relidar/base/arrays.hpp>
+#include <relidar/read/clouds.hpp>
 
 #include "base/fail.hpp"
-#include "read/scans/dropped_ray.hpp"
+#include "read/files/dropped_ray.hpp"
 
 namespace relidar::read {
 namespace {

@@ -9,7 +9,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/log/log.hpp>
 
-#include "read/scans/folder_head.hpp"
+#include "read/files/point_units.hpp"
 
 namespace relidar::read {
 

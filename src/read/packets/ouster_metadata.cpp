@@ -18,7 +18,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
-#include "read/bag/part_file.hpp"
+#include "read/files/recording.hpp"
 #include "read/packets/decoder.hpp"
 #include "read/packets/ouster.hpp"
 
@@ -337,7 +337,7 @@ MetadataList read_metadata_files(const fs::path& recording, std::vector<std::str
     std::ranges::sort(files);
     std::set<std::string> recording_stems;  // of all recordings in the folder
     for (const fs::path& file : files)
-        if (bag::is_recording_file(file)) recording_stems.insert(bag::strip_packed(file).stem().string());
+        if (is_recording_file(file)) recording_stems.insert(strip_packed(file).stem().string());
 
     const std::string own_stem = recording.stem().string();
     const bool has_metadata_of_same_name = is_metadata_file(fs::path(recording).replace_extension(".json"));

@@ -37,7 +37,7 @@ constexpr double kCutOff = 0.02;
 }  // namespace
 
 void PacketIndex::add_packets(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
-                              const bag::MessagePosition& message_position,
+                              const MessagePosition& message_position,
                               const DecoderCalibration& calibration) {
     messages_.push_back({message_position, recording_time_ns});
     if (packets.size() > kMostInMessage)

@@ -11,7 +11,7 @@
 
 #include <relidar/read/clouds.hpp>
 
-#include "read/bag/bag_file.hpp"
+#include "read/files/recording.hpp"
 #include "read/packets/decoder.hpp"
 
 namespace relidar::packets {
@@ -98,7 +98,7 @@ public:
     /// @throws DataError if packets of the product cannot be decoded, or if earlier
     /// packets came from another product
     void add_packets(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
-                     const bag::MessagePosition& message_position, const DecoderCalibration& calibration);
+                     const MessagePosition& message_position, const DecoderCalibration& calibration);
     /// Sorts the packets and finds the complete revolutions. Call it once, at the end.
     void finish();
     bool empty() const { return packets_.empty(); }
@@ -110,7 +110,7 @@ public:
     std::string describe_faults() const;
     /// Position of a message in the recording, and time of recording.
     struct MessageSource {
-        bag::MessagePosition message_position;
+        MessagePosition message_position;
         std::int64_t log_ns;
     };
     /// Returns the range of messages that contains all packets of a revolution.

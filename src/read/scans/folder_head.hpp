@@ -10,7 +10,7 @@
 #include <relidar/read/clouds.hpp>
 #include <relidar/read/dataset.hpp>
 
-#include "read/scans/point_meaning.hpp"
+#include "read/files/point_units.hpp"
 #include "read/scans/pose_conventions.hpp"
 #include "read/scans/scan_plan.hpp"
 
@@ -23,24 +23,6 @@ inline constexpr const char* kLogFormat = "relidar log";
 inline constexpr int kLogVersion = 1;
 // limits of texts, in bytes
 inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestPath = 255;
-
-/// Units and meaning of the point values in scan files.
-struct PointFileUnits {
-    /// Names of the columns in .bin and .npy files. Empty means x y z intensity.
-    std::vector<std::string> columns;
-    /// Intensities are divided by this value. If not set, values above 1 are an error.
-    std::optional<double> intensity_max;
-    double time_unit_s = 1.0;
-    bool absolute_times = false;  ///< true: point times use the clock of the log; false: 0 is the frame
-    /// Field with the intensities. If empty, the first field with a usual name.
-    std::string intensity_field = {};
-    /// Position that marks a ray without a return, as NaN does.
-    std::optional<glm::vec3> no_return = {};
-    UnnumberedReturns returns = {};
-    bool ignore_times = false;      ///< true if the times of the points have lost their precision
-    bool skip_wrong_times = false;  ///< true: skips points with wrong times; false: throws
-    double time_zero = 0.0;         ///< value of the point time at the time 0 s, in the unit of the file
-};
 
 /// An element of "lidars" in sequence.json.
 struct HeaderLidar : LidarScanLayout {
@@ -82,10 +64,11 @@ FolderHead read_header(const std::filesystem::path& folder, double default_max_r
 /// meanings of the numbers are tested, such as another order of the quaternion.
 /// @param read_scan_pairs_for_pose_check  reads pairs of scans that confirm a meaning;
 /// may be null
+/// @param log  gets notes, and the conventions of the poses
 std::optional<std::vector<Pose>> load_poses(const std::filesystem::path& file,
                                             const std::vector<LogFrame>& frames,
                                             const ScanPairReader& read_scan_pairs_for_pose_check,
-                                            Notes& notes);
+                                            const Conventions& set, Log& log);
 
 /// Reads boxes.json, if it exists. Ignores labels outside the time of the loaded frames.
 /// @param all_frames  all frames of the log, because labels can refer to frames by number
@@ -95,7 +78,7 @@ std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
 
 /// Reads the scans of all frames from files with read_scans(). Estimates missing units.
 /// @param scan_files  [frames] scan file of each frame
-void read_scan_files(Log& log, const ScanLayout& layout, PointFileUnits units,
+void read_scan_files(Log& log, ScanLayout layout, PointFileUnits units,
                      const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
 
 }  // namespace relidar::read

@@ -10,28 +10,24 @@
 
 #include "base/fail.hpp"
 #include "base/median.hpp"
+#include "read/files/dropped_ray.hpp"
 #include "read/files/scan_npz.hpp"
-#include "read/scans/dropped_ray.hpp"
+#include "read/scans/point_meaning.hpp"
 #include "read/scans/point_times.hpp"
 
 namespace relidar::read {
 namespace {
 
 constexpr float kFarthestCoordinate_m = 1e6f;
-// Two points are returns of one ray if 1 - cos(angle between their directions) is below
-// this (1.4 mrad). The limit is not 0, because file coordinates are rounded.
-constexpr float kOneRay = 1e-6f;
 
 /// Returns true if the values of a field are the distances of the points from the sensor,
 /// in any unit. A field with the name of a range can also be the distance from a plane.
 /// @param is_no_return  points without a return, which are ignored
 bool are_distances(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
                    const std::vector<char>& is_no_return) {
-    constexpr std::size_t kMostCompared = 2000;
     constexpr double kRangeTolerance = 0.05, kMinMatchShare = 0.9;
     std::vector<double> ratios;  // of the field to the distance; all equal if the field is a distance
-    const std::size_t step = std::max<std::size_t>(1, points.size() / kMostCompared);
-    for (std::size_t i = 0; i < points.size(); i += step) {
+    for (std::size_t i = 0; i < points.size(); ++i) {
         const double distance_m = glm::length(glm::dvec3(points[i]));
         if (!is_no_return[i] && std::isfinite(distance_m) && distance_m > 0.0)
             ratios.push_back(ranges[i] / distance_m);
@@ -155,7 +151,7 @@ void set_return_numbers(LidarPoints& points, const std::vector<double>& return_t
         const std::size_t point = order[k], before = order[k - 1];
         const glm::vec3 direction = glm::normalize(points.position_m[point]);
         const glm::vec3 direction_before = glm::normalize(points.position_m[before]);
-        const bool is_on_same_ray = 1.0f - glm::dot(direction, direction_before) < kOneRay;
+        const bool is_on_same_ray = glm::distance(direction, direction_before) < float(kOneRay_rad);
         if (ring_time(point) == ring_time(before) && is_on_same_ray)
             points.return_number[point] =
                 std::uint8_t(std::min(points.return_number[before] + 1, int(kMostReturns)));

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds frames, poses and boxes to a log while a reader creates it.
+// Adds frames, poses and boxes to a log while a reader creates it. Checks the frames that
+// the user requests.
 #include <relidar/read/clouds.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <unordered_map>
 
+#include <relidar/base/error.hpp>
+
 #include "base/fail.hpp"
+#include "read/scans/frame_range.hpp"
 
 namespace relidar {
 
@@ -57,6 +61,17 @@ std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels) {
         track.append(label.time_s, label.world_from_box);
     }
     return tracks;
+}
+
+void fail_empty_range(const FrameRange& range, const std::string& log_name, int first, int last) {
+    fail<UsageError>("frames {}:{} select no frame of {}, expected numbers in [{}, {}]", range.begin,
+                     range.end < 0 ? "" : std::to_string(range.end), log_name, first, last);
+}
+
+FrameRange limit_frames(const FrameRange& range, int n_frames, const std::string& log_name) {
+    const int end = range.end < 0 ? n_frames : std::min(range.end, n_frames);
+    if (range.begin >= end) fail_empty_range(range, log_name, 0, n_frames - 1);
+    return {range.begin, end};
 }
 
 }  // namespace relidar

@@ -10,7 +10,7 @@
 
 #include "base/fail.hpp"
 #include "log/sensor/beam_geometry.hpp"
-#include "read/scans/dropped_ray.hpp"
+#include "read/files/dropped_ray.hpp"
 
 namespace relidar {
 namespace {

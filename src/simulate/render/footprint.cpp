@@ -4,7 +4,7 @@
 #include <cmath>
 #include <numeric>
 
-#include "simulate/render/channel_pairs.hpp"
+#include "simulate/channels/channel_pairs.hpp"
 #include "simulate/weather/air.hpp"
 
 namespace relidar {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include "base/fail.hpp"
-#include "simulate/render/channel_pairs.hpp"
+#include "simulate/channels/channel_pairs.hpp"
 
 namespace relidar {
 namespace {

@@ -9,7 +9,7 @@
 #include <relidar/scene/labels.hpp>
 #include "base/fail.hpp"
 #include "gpu/context.hpp"
-#include "simulate/render/channel_pairs.hpp"
+#include "simulate/channels/channel_pairs.hpp"
 #include "simulate/render/footprint.hpp"
 #include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"

@@ -8,7 +8,7 @@
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/stage_options.hpp>
 #include "base/fail.hpp"
-#include "simulate/render/channel_pairs.hpp"
+#include "simulate/channels/channel_pairs.hpp"
 
 namespace relidar {
 

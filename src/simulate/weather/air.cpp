@@ -6,7 +6,7 @@
 #include <bit>
 
 #include "base/parallel.hpp"
-#include "simulate/render/channel_pairs.hpp"
+#include "simulate/channels/channel_pairs.hpp"
 
 namespace relidar {
 namespace {

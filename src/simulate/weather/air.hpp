@@ -5,9 +5,10 @@
 #pragma once
 
 #include <relidar/diff/forward.hpp>
+#include <relidar/simulate/render.hpp>
 
 #include "base/random.hpp"
-#include "simulate/render/channel_makers.hpp"
+#include "simulate/channels/scan_motion.hpp"
 
 namespace relidar {
 

@@ -17,7 +17,7 @@
 #include <relidar/scene/scene.hpp>
 #include <relidar/train/train.hpp>
 
-#include "train/iteration_reports.hpp"
+#include "train/reports/iteration_reports.hpp"
 
 namespace relidar {
 
@@ -61,8 +61,6 @@ Scene read_scene(const Checkpoint& checkpoint);
 void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
                      double elapsed_s);
 
-class TrainLoop;
-
 class CheckpointFolder {
 public:
     using Texts = std::map<std::string, std::string>;
@@ -104,7 +102,9 @@ public:
     /// After a number of iterations or minutes. The last iteration also gets a checkpoint
     /// if the folder already has one.
     bool is_due(int step) const;
-    void save_state(TrainLoop& loop, const TrainResult& result, double training_time_s);
+    /// @param add_state adds the training state to the checkpoint
+    void save_state(const std::function<void(Checkpoint&)>& add_state, const TrainResult& result,
+                    double training_time_s);
 
 private:
     const TrainConfig& config_;

@@ -15,7 +15,6 @@
 #include "base/files.hpp"
 #include "base/random.hpp"
 #include "train/checkpoints/checkpoint_keeper.hpp"
-#include "train/train_loop.hpp"
 
 namespace relidar {
 namespace {
@@ -299,11 +298,12 @@ bool CheckpointKeeper::is_due(int step) const {
     return by_count || folder_.is_time_due() || is_last;
 }
 
-void CheckpointKeeper::save_state(TrainLoop& loop, const TrainResult& result, double training_time_s) {
+void CheckpointKeeper::save_state(const std::function<void(Checkpoint&)>& add_state,
+                                  const TrainResult& result, double training_time_s) {
     if (!folder_.is_enabled()) return;
     folder_.save(result.iterations, [&](Checkpoint& checkpoint) {
         CheckpointWriter write(checkpoint);
-        loop.save_to(checkpoint);
+        add_state(checkpoint);
         write_log(write, result, training_time_s);
     });
 }

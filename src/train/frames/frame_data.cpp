@@ -12,7 +12,7 @@
 
 #include "base/geometry/ray_box.hpp"
 #include "base/parallel.hpp"
-#include "train/drops/sensor_drop.hpp"
+#include "train/frames/sensor_drop.hpp"
 
 namespace relidar {
 namespace {

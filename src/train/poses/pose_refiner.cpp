@@ -12,7 +12,7 @@
 #include "base/assert.hpp"
 #include "gpu/stream.hpp"
 #include "train/frames/training_frames.hpp"
-#include "train/iteration_reports.hpp"
+#include "train/reports/iteration_reports.hpp"
 
 namespace relidar {
 namespace {

@@ -6,7 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "base/bytes.hpp"
-#include "read/scans/dropped_ray.hpp"
+#include "read/files/dropped_ray.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/point_meaning.hpp"
 #include "support/names.hpp"

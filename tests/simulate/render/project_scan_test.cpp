@@ -8,7 +8,7 @@
 #include <relidar/base/error.hpp>
 
 #include "../plates.hpp"
-#include "simulate/render/channel_pairs.hpp"
+#include "simulate/channels/channel_pairs.hpp"
 
 namespace relidar {
 namespace {

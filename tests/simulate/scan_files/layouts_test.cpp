@@ -3,10 +3,13 @@
 // the labels against closed forms, labels of points, appended sequences, and the tables
 // of nuScenes with the reader of relidar. tests/tools/read_layouts.py reads all files.
 
+#include <array>
+#include <cstring>
 #include <fstream>
 #include <set>
 #include <sstream>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
@@ -193,6 +196,89 @@ TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {
     }
     std::ofstream(folder / "v1.0-trainval/sample.json") << "[{";
     EXPECT_THROW(write_sequence("nuscenes", 3), DataError) << "a truncated table";
+}
+
+/// Returns the points of a file of KITTI, in ascending order.
+std::vector<std::array<float, 3>> read_bin_points(const std::filesystem::path& file) {
+    const std::string bytes = read_contents(file);
+    std::vector<std::array<float, 3>> points(bytes.size() / 16);
+    for (std::size_t i = 0; i < points.size(); ++i) std::memcpy(&points[i], bytes.data() + 16 * i, 12);
+    std::ranges::sort(points);
+    return points;
+}
+
+/// Compares the points of a scan with those of a file.
+void expect_points(const Scan& scan, const std::filesystem::path& file) {
+    const std::vector<std::array<float, 3>> expected = read_bin_points(file);
+    std::vector<std::array<float, 3>> found;
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i)
+        if (scan.range_m[i] > 0.0f) {
+            const glm::vec3 point = scan.return_point(i);
+            found.push_back({point.x, point.y, point.z});
+        }
+    ASSERT_EQ(found.size(), expected.size());
+    // Rounding can change the order. Points with about the same x are compared.
+    for (const auto& point : found) {
+        double nearest_m = INFINITY;
+        for (auto at = std::ranges::lower_bound(expected, std::array{point[0] - 1e-3f, -INFINITY, -INFINITY});
+             at != expected.end() && (*at)[0] < point[0] + 1e-3f; ++at)
+            nearest_m =
+                std::min(nearest_m, std::hypot(double(point[0] - (*at)[0]), double(point[1] - (*at)[1]),
+                                               double(point[2] - (*at)[2])));
+        ASSERT_LT(nearest_m, 1e-3);
+    }
+}
+
+TEST_F(Layouts, ReaderFindsBoxesAndPointsOfKitti) {
+    sensors.resize(1);
+    for (const std::uint64_t seed : {1, 2}) write_sequence("kitti", seed);
+    EXPECT_EQ(detect_kind(folder), "kitti_tracking");
+    const DatasetOptions options{.sequence = "1", .max_range_m = 1000.0};
+    const Log log = load_log(folder.string(), options);
+    ASSERT_EQ(log.frames.size(), std::size_t(kSequenceFrames));
+    EXPECT_FALSE(log.has_poses) << "the layout stores none";
+    EXPECT_FALSE(log.rolling_shutter);
+    ASSERT_EQ(log.boxes.size(), 2u);
+    for (const BoxTrack& box : log.boxes) {
+        const bool is_car = box.category == "Car";
+        EXPECT_EQ(box.category, is_car ? "Car" : "Pedestrian");
+        EXPECT_LT(glm::distance(box.size_m, is_car ? kCarSize_m : kWalkerSize_m), 1e-3);
+        ASSERT_EQ(box.world_from_box.pose.size(), std::size_t(kSequenceFrames));
+        for (int i = 0; i < kSequenceFrames; ++i) {
+            const double t = times_s[std::size_t(i)];
+            const Pose expected = inverse(rig_pose(t)) * (is_car ? car_pose(t) : walker_pose(t)),
+                       found = box.world_from_box.pose[std::size_t(i)];
+            EXPECT_LT(glm::distance(found.translation, expected.translation), 1e-3);
+            EXPECT_LT(glm::angle(glm::inverse(found.rotation) * expected.rotation), 1e-3);
+        }
+    }
+    for (const Frame& frame : log.frames)
+        expect_points(frame.scan,
+                      folder / "tracking/training/velodyne/0001" / fmt::format("{:06}.bin", frame.index));
+    const Log object = load_log("kitti_object:" + folder.string(), {.max_range_m = 1000.0});
+    ASSERT_EQ(object.frames.size(), 2u * kSequenceFrames);
+    expect_points(object.frames[4].scan, folder / "training/velodyne/000004.bin");
+}
+
+TEST_F(Layouts, ReaderFindsPosesClassesAndPointsOfOpenlabel) {
+    sensors.resize(1);
+    write_sequence("openlabel", 0);
+    const std::filesystem::path sequence = folder / "sequences/00";
+    for (const bool is_complete : {true, false}) {
+        if (!is_complete)
+            for (const char* file : {"calib.txt", "times.txt"}) std::filesystem::remove(sequence / file);
+        const Log log = load_log(sequence.string(), {.max_range_m = 1000.0});
+        ASSERT_EQ(log.frames.size(), std::size_t(kSequenceFrames));
+        EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, is_complete ? 0.5 : 0.1, 1e-9);
+        for (std::size_t i = 0; i < log.frames.size(); ++i) {
+            const Pose first_from_rig = inverse(rig_pose(times_s[0])) * rig_pose(times_s[i]);
+            EXPECT_LT(glm::distance(log.world_from_vehicle.pose[i].translation + log.world_offset_m,
+                                    first_from_rig.translation),
+                      1e-3);
+            expect_points(log.frames[i].scan, sequence / fmt::format("velodyne/{:06}.bin", i));
+        }
+        EXPECT_TRUE(std::ranges::count(log.frames[0].scan.classes, SurfaceClass::vehicle) > 0);
+    }
 }
 
 TEST_F(Layouts, PointsHaveTheClassAndNumberOfTheirObject) {

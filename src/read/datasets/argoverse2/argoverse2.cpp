@@ -25,9 +25,9 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/scans/broken_scans.hpp"
 #include "read/scans/fired_sweeps.hpp"
+#include "read/scans/pose_files.hpp"
 #include "read/scans/stamped_log.hpp"
 #include "read/scans/sweep_firings.hpp"
 
@@ -387,7 +387,7 @@ Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
     SweepPairs read = read_sweeps(sweeps, log.lidars, vehicle_track, options.progress, broken);
     add_sweeps(log, sweeps, vehicle_track, std::move(read), options.progress, broken);
-    kitti::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     return log;
 }

@@ -13,7 +13,8 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/datasets/kitti/kitti_sweeps.hpp"
-#include "read/kitti/log_files.hpp"
+#include "read/datasets/kitti/log_files.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar {
 namespace {
@@ -22,9 +23,14 @@ namespace fs = std::filesystem;
 using namespace kitti;
 
 /// Reads the times of frames in seconds. Line i of the file contains the time of frame i.
-std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& numbers) {
+std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& numbers, Notes& notes) {
     std::vector<double> time_s;
-    for (const auto& [text, where] : read_frame_lines(file, numbers)) {
+    if (!does_path_exist(file)) {
+        notes.push_back("times.txt is missing, so frames are 0.1 s apart");
+        for (const int number : numbers) time_s.push_back(0.1 * number);
+        return time_s;
+    }
+    for (const auto& [text, where] : read::read_frame_lines(file, numbers)) {
         const auto seconds = parse_number(trim(text));
         if (!seconds) fail("{}: found '{}', expected a time in seconds", where, quote(text));
         time_s.push_back(*seconds);
@@ -47,16 +53,31 @@ fs::path find_pose_file(const fs::path& sequence_folder) {
         semantic_kitti.string(), kitti.string());
 }
 
-std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& numbers) {
-    const Pose cam_from_velo = read_transform(sequence_folder / "calib.txt", "Tr");
-    std::vector<Pose> poses = read_matrices(find_pose_file(sequence_folder), numbers);
+/// Returns the transform from the LiDAR to the camera. Without calib.txt, chooses the
+/// axes of the poses by the direction of the drive.
+Pose find_cam_from_velo(const fs::path& sequence_folder, const std::vector<Pose>& poses, Notes& notes) {
+    if (does_path_exist(sequence_folder / "calib.txt"))
+        return read_transform(sequence_folder / "calib.txt", "Tr");
+    glm::dvec3 moved_m(0.0);  // in the frame of each pose
+    for (std::size_t i = 1; i < poses.size(); ++i)
+        moved_m += glm::abs((inverse(poses[i - 1]) * poses[i]).translation);
+    const bool is_camera = moved_m.z > moved_m.x;
+    notes.push_back(
+        fmt::format("calib.txt is missing: the poses move along {}, so they are read as poses of {}",
+                    is_camera ? "z" : "x", is_camera ? "a camera at the origin of the LiDAR" : "the LiDAR"));
+    return is_camera ? Pose{glm::dquat(0.5, 0.5, -0.5, 0.5), {}} : Pose{};
+}
+
+std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& numbers,
+                                      Notes& notes) {
+    std::vector<Pose> poses = read::read_matrices(find_pose_file(sequence_folder), numbers);
+    const Pose cam_from_velo = find_cam_from_velo(sequence_folder, poses, notes);
     // Camera poses become LiDAR poses. The world becomes the LiDAR frame of frame 0.
     for (Pose& pose : poses) pose = inverse(cam_from_velo) * pose * cam_from_velo;
     return poses;
 }
 
-// Digits of the scan numbers in file names.
-constexpr int kRawDigits = 10, kOdometryDigits = 6;
+constexpr int kRawDigits = 10;  // digits of the scan numbers in file names
 
 }  // namespace
 
@@ -85,7 +106,7 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     if (options.poses_file.empty()) poses = read_oxts_poses(drive, frames);
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
     // Tracklets are relative to the vehicle, so they are read when its poses are final.
-    replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     if (options.poses_file.empty()) log.georeference = read_oxts_place(drive);
     log.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, log.world_from_vehicle);
@@ -99,21 +120,28 @@ Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<int> frames = list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
-    const std::vector<double> time_s = read_times_s(folder / "times.txt", frames);
-    std::vector<Pose> poses(frames.size());
-    if (options.poses_file.empty()) poses = read_odometry_poses(folder, frames);
+    if (!does_path_exist(folder / "calib.txt") && !does_path_exist(folder / "poses.txt") &&
+        options.poses_file.empty())
+        fail(
+            "{} is a KITTI odometry sequence with motion-compensated scans; expected also its file "
+            "calib.txt, or "
+            "the KITTI raw drive from which the sequence was made",
+            folder.string());
     Log log;
+    log.notes = {"this log has no labels"};
+    const std::vector<double> time_s = read_times_s(folder / "times.txt", frames, log.notes);
+    std::vector<Pose> poses(frames.size());
+    if (options.poses_file.empty()) poses = read_odometry_poses(folder, frames, log.notes);
     log.name = "KITTI odometry " + folder.filename().string();
     log.source = log_folder.string();
     log.conventions =
         "Sensor frame: x forward, y left, z up, in metres. Times are the seconds in times.txt. The world "
         "frame is the LiDAR frame of frame 0. Scans are motion-compensated. The dataset has no boxes.";
-    log.notes = {"this log has no labels"};
     log.rolling_shutter = false;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
-    replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
-    read_hdl64_sweeps(log, folder / "velodyne", kOdometryDigits, options, folder / "labels");
+    read_kitti_sweeps(log, folder / "velodyne", options, /*hdl64_is_moved=*/true, folder / "labels");
     return log;
 }
 

@@ -26,9 +26,10 @@
 #include "base/files.hpp"
 #include "base/list_text.hpp"
 #include "read/datasets/kitti/kitti_sweeps.hpp"
-#include "read/kitti/log_files.hpp"
+#include "read/datasets/kitti/log_files.hpp"
 #include "read/lidar_rt_benchmark.hpp"
 #include "read/readers.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar::kitti {
 namespace {
@@ -209,7 +210,7 @@ std::map<int, Pose> read_lidar_poses(const fs::path& dataset_folder, const std::
     const fs::path calibration = dataset_folder / "calibration";
     const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
     // This file contains a single line of 12 numbers.
-    const Pose velo_from_cam0 = read_matrices(calibration / "calib_cam_to_velo.txt", {0}).front();
+    const Pose velo_from_cam0 = read::read_matrices(calibration / "calib_cam_to_velo.txt", {0}).front();
     std::map<int, Pose> poses = read_numbered_poses(dataset_folder / "data_poses" / drive_name / "poses.txt");
     for (auto& [frame, pose] : poses) pose = pose * imu_from_cam0 * inverse(velo_from_cam0);
     return poses;
@@ -305,7 +306,7 @@ Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
     note_missing_scans(log, points / "data", frames, options.allow_missing_scans);
     log.lidars[0].sensor.period_s = read_time_step_s(points / "timestamps.txt");
     add_kitti_360_frames(log, folder, chosen, frames, options.poses_file);
-    replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     constexpr int kFileNameDigits = 10;
     read_hdl64_sweeps(log, points / "data", kFileNameDigits, options);

@@ -15,15 +15,20 @@
 #include <relidar/read/clouds.hpp>
 
 #include "base/fail.hpp"
+#include "base/files.hpp"
 #include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "base/progress_blocks.hpp"
 #include "read/datasets/kitti/firing_lattice.hpp"
+#include "read/datasets/kitti/log_files.hpp"
 #include "read/files/point_table.hpp"
-#include "read/kitti/log_files.hpp"
+#include "read/files/scan_npz.hpp"
 #include "read/scans/broken_scans.hpp"
+#include "read/scans/cloud_units.hpp"
 #include "read/scans/fired_sweeps.hpp"
 #include "read/scans/firing_recovery.hpp"
+#include "read/scans/folder_points.hpp"
+#include "read/scans/point_meaning.hpp"
 #include "read/scans/scan_plan.hpp"
 
 namespace relidar::kitti {
@@ -172,7 +177,88 @@ void check_ray_counts(const std::vector<RingScan>& scans, const FiringGrid& grid
             where, n_points, scans.size(), n_rays / scans.size());
 }
 
+/// Returns the number of digits in the name of the first scan.
+int count_name_digits(const std::filesystem::path& scan_folder) {
+    for (const std::filesystem::path& file : list_folder(scan_folder))
+        if (file.extension() == ".bin" && parse_stem(file.stem().string()))
+            return int(file.stem().string().size());
+    return 0;
+}
+
+/// Returns true if a file has about as many rings as an HDL-64E. Some beams may have no
+/// returns.
+bool has_hdl64_order(const LidarPoints& points) {
+    const int n_rings = split_rings(points).n_rings;
+    return n_rings > kRings - 5 && n_rings < kRings + 5;
+}
+
+/// The scans of a LiDAR that is no HDL-64E.
+class KittiScans : public read::ScanProvider {
+public:
+    KittiScans(const Log& log, std::filesystem::path scan_folder, std::filesystem::path label_folder)
+        : log_(log),
+          scan_folder_(std::move(scan_folder)),
+          label_folder_(std::move(label_folder)),
+          digits_(count_name_digits(scan_folder_)) {}
+    std::string frame_name(std::size_t frame) const override { return file_of(frame).string(); }
+    LidarPoints read_points(std::size_t frame) const override {
+        const std::filesystem::path file = file_of(frame);
+        const std::string label_name = file.stem().string() + ".label";
+        LidarPoints points =
+            read_kitti_scan(file, label_folder_.empty() ? label_folder_ : label_folder_ / label_name);
+        if (units_.intensity_max)
+            for (float& value : points.intensity)
+                value = read::scale_intensity(double(value), units_, file.string());
+        return points;
+    }
+    /// Reads some scans that can be read.
+    std::vector<LidarPoints> read_samples() const {
+        std::vector<LidarPoints> samples;
+        for (const std::size_t i : read::spread_indices(log_.frames.size(), kFitScans)) try {
+                samples.push_back(read_points(i));
+            } catch (const DataError&) {  // reported when all scans are read
+            }
+        return samples;
+    }
+    /// Estimates the scale of the intensities.
+    read::IntensityScale set_scale(const std::vector<LidarPoints>& samples) {
+        std::vector<double> intensities;
+        for (const LidarPoints& points : samples)
+            intensities.insert(intensities.end(), points.intensity.begin(), points.intensity.end());
+        const read::IntensityScale scale = read::estimate_scale(std::move(intensities));
+        units_.intensity_max = scale.max;
+        return scale;
+    }
+    int digits() const { return digits_; }
+
+private:
+    const Log& log_;
+    const std::filesystem::path scan_folder_, label_folder_;
+    const int digits_;
+    read::PointFileUnits units_;
+
+    std::filesystem::path file_of(std::size_t frame) const {
+        return scan_folder_ / fmt::format("{:0{}d}.bin", log_.frames[frame].index, digits_);
+    }
+};
+
 }  // namespace
+
+void read_kitti_sweeps(Log& log, const std::filesystem::path& scan_folder, const DatasetOptions& options,
+                       bool hdl64_is_moved, const std::filesystem::path& label_folder) {
+    KittiScans scans(log, scan_folder, label_folder);
+    const std::vector<LidarPoints> samples = scans.read_samples();
+    const std::ptrdiff_t n_hdl64 = std::ranges::count_if(samples, has_hdl64_order);
+    if (2 * n_hdl64 >= std::ssize(samples)) {
+        log.rolling_shutter = !hdl64_is_moved;
+        return read_hdl64_sweeps(log, scan_folder, scans.digits(), options, label_folder);
+    }
+    read::list_scale(log, scans.set_scale(samples), "");
+    log.lidars[0].sensor.max_range_m = options.max_range_m;
+    DatasetOptions scan_options = options;
+    if (!log.has_poses) scan_options.poses_file = kNoPoses;
+    read::read_scans(log, {.lidars = {{}}, .motion_compensated = true}, scans, scan_options);
+}
 
 void read_hdl64_sweeps(Log& log, const std::filesystem::path& scan_folder, int file_name_digits,
                        const DatasetOptions& options, const std::filesystem::path& label_folder) {
@@ -202,7 +288,8 @@ void read_hdl64_sweeps(Log& log, const std::filesystem::path& scan_folder, int f
     std::optional<read::FiringRecovery> recovery;
     if (!log.rolling_shutter) {
         if (options.rolling_shutter)
-            recovery = recover_sweeps(log, raw, scan_folder.string(), options.poses_file != kNoPoses);
+            recovery = recover_sweeps(log, raw, scan_folder.string(),
+                                      log.has_poses && options.poses_file != kNoPoses);
         if (!log.rolling_shutter)
             log.notes.push_back(
                 "the scans are motion-compensated, so all rays start at the position of the sensor at the "

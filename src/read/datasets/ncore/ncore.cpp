@@ -17,7 +17,7 @@
 #include "log/frames/match_sweeps.hpp"
 #include "read/datasets/ncore/ncore_scans.hpp"
 #include "read/files/point_table.hpp"
-#include "read/kitti/log_files.hpp"
+#include "read/scans/pose_files.hpp"
 #include "read/scans/sweep_poses.hpp"
 
 namespace relidar {
@@ -64,7 +64,7 @@ public:
             "sweep. Points are not motion-compensated.",
             quote(vehicle_), kWorld);
         set_log_start(log_, 1000 * sequence_.start_us, "on the clock of the sequence");
-        kitti::replace_poses(log_, options_.poses_file);
+        read::replace_poses(log_, options_);
         centre_log(log_);
         read_scans();
         log_.notes.insert(log_.notes.begin(), sequence_.notes.begin(), sequence_.notes.end());

@@ -16,8 +16,8 @@
 #include "base/number_text.hpp"
 #include "base/toml_depth.hpp"
 #include "read/datasets/street/street.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/readers.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar {
 namespace {
@@ -94,7 +94,7 @@ Log load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     }
     log.source = folder.string();
     // Wrong poses with the same scans show the effect of the poses.
-    kitti::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     if (!options.poses_file.empty())
         log.conventions += " Poses are replaced by dataset.poses=" + options.poses_file.string();
     return log;

@@ -30,9 +30,9 @@
 #include "base/progress_blocks.hpp"
 #include "log/classes/dataset_classes.hpp"
 #include "read/datasets/waymo/waymo_frame.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/lidar_rt_benchmark.hpp"
 #include "read/scans/broken_scans.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar {
 namespace {
@@ -428,7 +428,7 @@ Log load_waymo(const fs::path& path, const DatasetOptions& options) {
     for (Lidar& lidar : log.lidars) lidar.sensor.max_range_m = options.max_range_m;
     // The scans need the poses of the dataset, so the user's poses replace them later.
     read_record_scans(log, records, options);
-    kitti::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     return log;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "train/drops/sensor_drop.hpp"
+#include "train/frames/sensor_drop.hpp"
 
 #include <algorithm>
 #include <atomic>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "read/packets/packet_messages.hpp"
+#include "read/bag/packet_messages.hpp"
 
 #include <algorithm>
 #include <iterator>
@@ -7,10 +7,8 @@
 #include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
 
-namespace relidar::packets {
+namespace relidar::bag {
 namespace {
-
-using bag::MessageReader;
 
 /// Layout of a packet in a message.
 enum class PacketMessageLayout {
@@ -57,20 +55,20 @@ std::string_view read_packet(MessageReader& reader, const PacketMessageType& mes
 
 }  // namespace
 
-bool has_packets(const bag::BagTopic& topic) {
+bool has_packets(const BagTopic& topic) {
     return find_type(topic.type) != nullptr && !(is_ouster_topic(topic) && topic.name.ends_with(kImuTopic));
 }
 
-bool is_ouster_topic(const bag::BagTopic& topic) {
+bool is_ouster_topic(const BagTopic& topic) {
     const PacketMessageType* type = find_type(topic.type);
     return type && type->form == PacketMessageLayout::alone;
 }
 
-bool can_have_metadata(const bag::BagTopic& topic) {
+bool can_have_metadata(const BagTopic& topic) {
     return topic.type == "std_msgs/String" && topic.name.ends_with(kMetadataTopic);
 }
 
-PacketMessage read_packets(const bag::BagTopic& topic, std::string_view message_bytes,
+PacketMessage read_packets(const BagTopic& topic, std::string_view message_bytes,
                            std::int64_t recording_time_ns) {
     const PacketMessageType& type = *find_type(topic.type);
     PacketMessage message{.frame = topic.name, .packets = {}};
@@ -98,4 +96,4 @@ PacketMessage read_packets(const bag::BagTopic& topic, std::string_view message_
     return message;
 }
 
-}  // namespace relidar::packets
+}  // namespace relidar::bag

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Calls a function for each pair of corresponding per-ray arrays of two scans. All code
-// that joins, merges, bins or copies scans uses these functions. Private to render.
+// that joins, merges, bins or copies scans uses these functions. Private to simulate.
 #pragma once
 
 #include <relidar/simulate/render.hpp>

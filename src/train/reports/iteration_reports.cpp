@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "train/iteration_reports.hpp"
+#include "train/reports/iteration_reports.hpp"
 
 #include <cmath>
 

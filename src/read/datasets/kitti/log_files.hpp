@@ -13,8 +13,6 @@
 #include <relidar/log/log.hpp>
 #include <relidar/read/points.hpp>
 
-#include "read/scans/pose_conventions.hpp"
-
 namespace relidar::kitti {
 
 /// Returns the numbers of the scan files in a folder, in ascending order.
@@ -35,11 +33,6 @@ LidarPoints read_kitti_scan(const std::filesystem::path& file, const std::filesy
 /// @throws DataError if scan files are missing and allow_missing is false
 void note_missing_scans(Log& log, const std::filesystem::path& folder, const std::vector<int>& numbers,
                         bool allow_missing);
-
-/// Returns an error message that names the folder to use instead, for an odometry
-/// log, a folder of drives, and a folder inside a drive. Otherwise an empty string.
-/// @param expected_subfolder  subfolder that every drive has
-std::string describe_mistake(const std::filesystem::path& folder, const std::string& expected_subfolder);
 
 /// Returns seconds after the first time in the file. Line i contains the time of frame i.
 /// The line is empty if the frame has no scan. Times can cross midnight.
@@ -73,26 +66,14 @@ std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std:
 /// Returns the place of the world of read_oxts_poses() on the earth.
 Georeference read_oxts_place(const std::filesystem::path& drive);
 
-/// A line of a text file, and the name of the file and its number for error messages.
-struct FrameLine {
-    std::string text, where;
+struct OxtsTrack {
+    std::vector<Pose> poses;  ///< of the LiDAR
+    Georeference place;       ///< of their world
 };
-/// Returns line i of a file for each frame i.
-std::vector<FrameLine> read_frame_lines(const std::filesystem::path& file, const std::vector<int>& numbers);
-
-/// Reads LiDAR poses. Line i contains the pose of frame i as 12 numbers: a 3x4 matrix,
-/// row-major.
-std::vector<Pose> read_matrices(const std::filesystem::path& pose_file, const std::vector<int>& numbers);
-
-inline const Note kNoPosesNote{
-    "no_poses", -1, "poses are not read (dataset.poses=none); they must be estimated from the scans"};
-
-/// Replaces the vehicle poses of a log by the poses in a file of the user: a matrix for
-/// each frame, or poses with times. The boxes move with the vehicle.
-/// @param pose_file  empty: does nothing; "none": sets identity poses
-/// @param read_scan_pairs  reads scans that show which meaning of the poses fits
-void replace_poses(Log& log, const std::filesystem::path& pose_file,
-                   const read::ScanPairReader& read_scan_pairs = nullptr);
+/// Same for a file with a line of GPS/IMU data for each frame. The IMU in line 0 is the
+/// origin of the world.
+OxtsTrack read_oxts_lines(const std::filesystem::path& file, const std::vector<int>& numbers,
+                          const Pose& imu_from_sensor);
 
 /// Reads poses by frame number. Each line contains a frame number and a 3x4 matrix. The
 /// frame numbers must increase.

@@ -2,7 +2,7 @@
 // Reads the timestamp files of a KITTI raw drive. Line i contains the time of scan i. It
 // is empty if the scan is missing.
 #include "base/fail.hpp"
-#include "read/kitti/log_files.hpp"
+#include "read/datasets/kitti/log_files.hpp"
 
 #include <algorithm>
 #include <chrono>

@@ -4,7 +4,7 @@
 // head faces forward. The position in the file is the centre of the box's bottom face, so
 // centre = t + R (0, 0, h/2).
 #include "base/fail.hpp"
-#include "read/kitti/log_files.hpp"
+#include "read/datasets/kitti/log_files.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the poses and the calibration of a KITTI raw drive. Poses are read from a file
-// with 12 numbers per line, or are computed from GPS/IMU data (OXTS):
+// Reads the calibration of KITTI, and poses with frame numbers. Computes the poses of a
+// KITTI raw drive from GPS/IMU data (OXTS):
 //   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude),
 //   R = 6378137 m,  rotation R_z(yaw) R_y(pitch) R_x(roll)
 #include "base/fail.hpp"
-#include "read/kitti/log_files.hpp"
-#include "read/scans/folder_head.hpp"
+#include "read/datasets/kitti/log_files.hpp"
+#include "read/scans/pose_files.hpp"
 
 #include <cmath>
 
@@ -19,36 +19,23 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-/// Parses a line of `count` finite numbers.
-std::vector<double> parse_finite(const std::string& line, std::size_t count, const std::string& place) {
-    const auto numbers = parse_numbers(line);
-    if (!numbers) fail("{}: found a word that is not a number, expected {} numbers", place, count);
-    if (numbers->size() != count) fail("{}: found {} numbers, expected {}", place, numbers->size(), count);
-    for (std::size_t i = 0; i < count; ++i)
-        if (!std::isfinite((*numbers)[i]))
-            fail("{}: number {} is {}, expected a finite value", place, i + 1, (*numbers)[i]);
-    return *numbers;
-}
-
-Pose parse_pose(const std::string& line, const std::string& place) {
-    return make_pose(parse_finite(line, 12, place), place);
-}
-
 fs::path oxts_path(const fs::path& drive, int frame_number) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame_number);
 }
 
-/// Reads the 30 numbers of a GPS/IMU file (OXTS). The first are latitude, longitude (both
-/// in degrees), height in metres, and roll, pitch and yaw in radians.
-std::vector<double> read_oxts(const fs::path& oxts_file) {
+/// Parses 30 numbers of GPS/IMU data (OXTS). The first are latitude, longitude (both in
+/// degrees), height in metres, and roll, pitch and yaw in radians.
+std::vector<double> parse_oxts(const std::string& line, const std::string& where) {
     constexpr std::size_t kOxtsNumbers = 30;
-    const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
-    const std::vector<double> v =
-        parse_finite(lines.empty() ? "" : lines[0], kOxtsNumbers, oxts_file.string());
+    const std::vector<double> v = read::parse_finite(line, kOxtsNumbers, where);
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0)
-        fail("{}: found the latitude {} and the longitude {}, expected angles in degrees", oxts_file.string(),
-             v[0], v[1]);
+        fail("{}: found the latitude {} and the longitude {}, expected angles in degrees", where, v[0], v[1]);
     return v;
+}
+
+std::vector<double> read_oxts(const fs::path& oxts_file) {
+    const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
+    return parse_oxts(lines.empty() ? "" : lines[0], oxts_file.string());
 }
 
 constexpr double kEarthRadius_m = 6378137.0;
@@ -66,7 +53,25 @@ Pose imu_pose(const std::vector<double>& oxts, double scale) {
              height_m}};
 }
 
-/// Returns the numbers of the first GPS/IMU file of a drive, see read_oxts(). It defines
+/// Returns the pose of the IMU in a world whose origin is the IMU in the first frame.
+Pose place_imu(const std::vector<double>& oxts, const std::vector<double>& first) {
+    const double scale = mercator_scale(first);
+    Pose world_from_imu = imu_pose(oxts, scale);
+    world_from_imu.translation -= imu_pose(first, scale).translation;
+    return world_from_imu;
+}
+
+/// Returns the place on the earth of the world of place_imu().
+Georeference place_of(const std::vector<double>& first) {
+    const double latitude_deg = first[0], longitude_deg = first[1], height_m = first[2];
+    const glm::dvec3 origin_m = imu_pose(first, mercator_scale(first)).translation;
+    // PROJ adds x_0 and y_0 to the coordinates. The scale is 1 at the latitude lat_ts.
+    const std::string projection = fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m,
+                                               latitude_deg, -origin_m.x, -origin_m.y);
+    return {.position = {latitude_deg, longitude_deg, height_m}, .point_m = {}, .crs = projection};
+}
+
+/// Returns the numbers of the first GPS/IMU file of a drive, see parse_oxts(). It defines
 /// the origin and Mercator scale of all poses, whichever frames are requested.
 std::vector<double> read_first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
@@ -99,23 +104,13 @@ fs::path find_imu_file(const fs::path& drive) {
         (drive.parent_path() / name).string(), date);
 }
 
-/// Returns the frames whose poses a pose file must contain: one frame per time, because
-/// LiDARs that sweep simultaneously share a pose.
-std::vector<read::LogFrame> list_posed_frames(const Log& log) {
-    std::vector<read::LogFrame> frames;
-    for (const Frame& frame : log.frames)
-        if (frames.empty() || frames.back().time_s != frame.time_s)
-            frames.push_back({frame.index, frame.time_s, frame.lidar, {}});
-    return frames;
-}
-
 }  // namespace
 
 Pose read_calibration(const fs::path& file) {
     std::vector<double> r, t;
     for (const std::string& line : split_lines(read_text_file(file))) {
-        if (line.starts_with("R:")) r = parse_finite(line.substr(2), 9, file.string() + " key R");
-        if (line.starts_with("T:")) t = parse_finite(line.substr(2), 3, file.string() + " key T");
+        if (line.starts_with("R:")) r = read::parse_finite(line.substr(2), 9, file.string() + " key R");
+        if (line.starts_with("T:")) t = read::parse_finite(line.substr(2), 3, file.string() + " key T");
     }
     if (r.empty() || t.empty())
         fail(
@@ -130,68 +125,30 @@ Pose read_calibration(const fs::path& file) {
 Pose read_transform(const fs::path& file, const std::string& key) {
     for (const std::string& line : split_lines(read_text_file(file)))
         if (line.starts_with(key + ":"))
-            return parse_pose(line.substr(key.size() + 1), fmt::format("{} key {}", file.string(), key));
+            return read::parse_pose(line.substr(key.size() + 1),
+                                    fmt::format("{} key {}", file.string(), key));
     fail("{}: the line '{}:' is missing, expected this key with 12 numbers", file.string(), key);
 }
 
 std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>& frame_numbers) {
     const std::vector<double> first = read_first_oxts(drive);
-    const double scale = mercator_scale(first);
-    const glm::dvec3 origin = imu_pose(first, scale).translation;
     const Pose imu_from_sensor = inverse(read_calibration(find_imu_file(drive)));
     std::vector<Pose> poses;
-    for (const int frame : frame_numbers) {
-        Pose world_from_imu = imu_pose(read_oxts(oxts_path(drive, frame)), scale);
-        world_from_imu.translation -= origin;
-        poses.push_back(world_from_imu * imu_from_sensor);
-    }
+    for (const int frame : frame_numbers)
+        poses.push_back(place_imu(read_oxts(oxts_path(drive, frame)), first) * imu_from_sensor);
     return poses;
 }
 
-Georeference read_oxts_place(const fs::path& drive) {
-    const std::vector<double> oxts = read_first_oxts(drive);
-    const double latitude_deg = oxts[0], longitude_deg = oxts[1], height_m = oxts[2];
-    const glm::dvec3 origin_m = imu_pose(oxts, mercator_scale(oxts)).translation;
-    // The world of read_oxts_poses() is Mercator minus origin_m. PROJ adds x_0 and y_0 to
-    // the coordinates, and the scale is 1 at the latitude lat_ts.
-    const std::string projection = fmt::format("+proj=merc +R={} +lat_ts={} +x_0={} +y_0={}", kEarthRadius_m,
-                                               latitude_deg, -origin_m.x, -origin_m.y);
-    return {.position = {latitude_deg, longitude_deg, height_m}, .point_m = {}, .crs = projection};
-}
+Georeference read_oxts_place(const fs::path& drive) { return place_of(read_first_oxts(drive)); }
 
-std::vector<FrameLine> read_frame_lines(const fs::path& file, const std::vector<int>& frame_numbers) {
-    const std::vector<std::string> lines = split_lines(read_text_file(file));
-    std::vector<FrameLine> frame_lines;
-    for (const int frame : frame_numbers) {
-        const std::size_t index = std::size_t(frame);
-        if (index >= lines.size())
-            fail("{}: found {} lines, but frame {} needs line {}", file.string(), lines.size(), frame,
-                 index + 1);
-        frame_lines.push_back({lines[index], fmt::format("{} line {}", file.string(), index + 1)});
-    }
-    return frame_lines;
-}
-
-std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int>& frame_numbers) {
-    std::vector<Pose> poses;
-    for (const auto& [text, where] : read_frame_lines(pose_file, frame_numbers))
-        poses.push_back(parse_pose(text, where));
-    return poses;
-}
-
-void replace_poses(Log& log, const fs::path& pose_file, const read::ScanPairReader& read_scan_pairs) {
-    if (pose_file.empty()) return;
-    const std::vector<double>& times_s = log.world_from_vehicle.time_s;
-    if (pose_file == kNoPoses) {
-        // Identity poses, until they are estimated from the scans.
-        log.notes.push_back(kNoPosesNote);
-        set_trajectory(log, {times_s, std::vector<Pose>(times_s.size())});
-        return;
-    }
-    const auto poses = read::load_poses(pose_file, list_posed_frames(log), read_scan_pairs, log.notes);
-    if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
-    // The file has poses in the world of the dataset, which the log shifts.
-    set_trajectory(log, shift_track({times_s, *poses}, -log.world_offset_m));
+OxtsTrack read_oxts_lines(const fs::path& file, const std::vector<int>& numbers,
+                          const Pose& imu_from_sensor) {
+    const read::FrameLine first_line = read::read_frame_lines(file, {0}).front();
+    const std::vector<double> first = parse_oxts(first_line.text, first_line.where);
+    OxtsTrack track{{}, place_of(first)};
+    for (const auto& [text, where] : read::read_frame_lines(file, numbers))
+        track.poses.push_back(place_imu(parse_oxts(text, where), first) * imu_from_sensor);
+    return track;
 }
 
 std::map<int, Pose> read_numbered_poses(const fs::path& file) {
@@ -205,7 +162,7 @@ std::map<int, Pose> read_numbered_poses(const fs::path& file) {
         const std::optional<int> frame = parse_stem(number);
         if (!frame || (!by_frame.empty() && *frame <= by_frame.rbegin()->first))
             fail("{}: found the frame '{}', expected increasing frame numbers", where, quote(number));
-        by_frame.emplace(*frame, parse_pose(matrix, where));
+        by_frame.emplace(*frame, read::parse_pose(matrix, where));
     }
     if (by_frame.empty())
         fail("{}: the file is empty, expected a frame number and 12 numbers per line", file.string());

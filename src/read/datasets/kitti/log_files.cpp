@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the scans of a KITTI raw drive, which are n x float32 {x, y, z, reflectance}. If
-// a folder is not a KITTI raw drive, describes what it probably is.
-#include "read/kitti/log_files.hpp"
+// Reads the scans of KITTI, which are n x float32 {x, y, z, reflectance}.
+#include "read/datasets/kitti/log_files.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -10,8 +9,8 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/classes/dataset_classes.hpp"
+#include "read/files/dropped_ray.hpp"
 #include "read/readers.hpp"
-#include "read/scans/dropped_ray.hpp"
 
 namespace relidar::kitti {
 namespace fs = std::filesystem;
@@ -38,29 +37,6 @@ std::vector<SurfaceClass> read_classes(const fs::path& label_file, std::size_t n
 }
 
 }  // namespace
-
-std::string describe_mistake(const fs::path& folder, const std::string& expected_subfolder) {
-    std::error_code failed;
-    const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
-    if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
-        return "the folder is a KITTI odometry sequence with motion-compensated scans; expected also its "
-               "file calib.txt, or the KITTI raw drive from which the sequence was made";
-    // A folder above this one may be the dataset.
-    for (fs::path above = fs::canonical(folder, failed).parent_path(); !failed && above.has_relative_path();
-         above = above.parent_path())
-        if (fs::exists(above / expected_subfolder, failed))
-            return fmt::format("the folder is inside a dataset; use the folder of the dataset, {}",
-                               above.string());
-    // Subfolders may be datasets.
-    std::vector<std::string> datasets;
-    for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
-        if (fs::exists(entry->path() / expected_subfolder, failed))
-            datasets.push_back(entry->path().filename().string());
-    if (datasets.empty()) return "";
-    return fmt::format("the folder contains {} dataset{}; use the folder of one of them, such as {}",
-                       datasets.size(), datasets.size() == 1 ? "" : "s",
-                       (folder / *std::ranges::min_element(datasets)).string());
-}
 
 void note_missing_scans(Log& log, const fs::path& folder, const std::vector<int>& numbers,
                         bool allow_missing) {
