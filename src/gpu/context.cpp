@@ -10,12 +10,14 @@
 #include <tuple>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/gpu/out_of_memory.hpp>
 
 #include "base/fail.hpp"
 #include "gpu/buffer.hpp"
 #include "gpu/external_memory.hpp"
+#include "gpu/missing_drivers.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/trust.hpp"
 
@@ -116,10 +118,13 @@ VulkanInstance::VulkanInstance(bool validation) {
         info.ppEnabledLayerNames = &layer;
     }
     const VkResult result = vkCreateInstance(&info, nullptr, &handle);
-    if (result == VK_ERROR_INCOMPATIBLE_DRIVER)
+    if (result == VK_ERROR_INCOMPATIBLE_DRIVER) {
+        if (const std::vector<std::string> problems = find_broken_drivers(); !problems.empty())
+            throw DeviceError(fmt::format("cannot use Vulkan: {}", fmt::join(problems, "; ")));
         throw DeviceError(
             "cannot use Vulkan: no Vulkan driver is installed; install the driver of the GPU, or the "
             "software driver of Mesa; VK_DRIVER_FILES can also select a driver");
+    }
     if (result == VK_ERROR_LAYER_NOT_PRESENT)
         throw DeviceError(
             "cannot enable Vulkan validation: VK_LAYER_KHRONOS_validation is not installed; install the "

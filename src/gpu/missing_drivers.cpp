@@ -1,12 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds GPUs in the device files of Linux that no Vulkan driver offers. A GPU in a
 // container often has no Vulkan driver, and relidar would use the CPU without a word.
-#include <relidar/gpu/device.hpp>
+// Also finds drivers that are installed but cannot be loaded.
+#include "gpu/missing_drivers.hpp"
 
 #include <algorithm>
+#include <cstdlib>
 #include <fstream>
+#include <sstream>
+
+#include <dlfcn.h>
 
 #include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/gpu/device.hpp>
+
+#include "base/fail.hpp"
+#include "base/files.hpp"
+#include "base/json_field.hpp"
 
 namespace relidar {
 namespace {
@@ -70,4 +82,52 @@ std::vector<std::string> find_driverless(const std::vector<DeviceInfo>& devices,
     return lines;
 }
 
+namespace gpu {
+namespace {
+
+/// Returns the paths of driver manifests that the Vulkan loader reads.
+std::vector<fs::path> list_manifests() {
+    // The first variable that is set replaces the folders of the system.
+    std::string paths = "/etc/vulkan/icd.d:/usr/local/share/vulkan/icd.d:/usr/share/vulkan/icd.d";
+    for (const char* name : {"VK_ICD_FILENAMES", "VK_DRIVER_FILES"})
+        if (const char* value = std::getenv(name); value && *value) paths = value;
+    std::vector<fs::path> manifests;
+    std::istringstream list(paths);
+    for (std::string path; std::getline(list, path, ':');) {
+        std::error_code failed;
+        if (path.ends_with(".json")) manifests.emplace_back(path);
+        for (const auto& entry : fs::directory_iterator(path, failed))
+            if (entry.path().extension() == ".json") manifests.push_back(entry.path());
+    }
+    return manifests;
+}
+
+/// Loads the library of a driver manifest.
+/// @throws DataError if the manifest cannot be read or the library cannot be loaded
+void load_driver(const fs::path& manifest) {
+    const std::string file = manifest.string();
+    const nlohmann::json root = parse_json(read_text_file(manifest), file);
+    const std::string library = JsonField(root, file, "").at("ICD").at("library_path").text();
+    // A path with a slash is relative to the manifest. A name is searched by the system.
+    const bool is_path = library.find('/') != std::string::npos;
+    const std::string path = is_path ? (manifest.parent_path() / library).string() : library;
+    if (void* handle = dlopen(path.c_str(), RTLD_LAZY | RTLD_LOCAL)) dlclose(handle);
+    else fail("the library {} of the driver manifest {} cannot be loaded: {}", path, file, dlerror());
+}
+
+}  // namespace
+
+std::vector<std::string> find_broken_drivers() {
+    std::vector<std::string> problems;
+    for (const fs::path& manifest : list_manifests()) {
+        try {
+            load_driver(manifest);
+        } catch (const DataError& error) {
+            problems.emplace_back(error.what());
+        }
+    }
+    return problems;
+}
+
+}  // namespace gpu
 }  // namespace relidar

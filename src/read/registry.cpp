@@ -404,10 +404,12 @@ Log load_log(const std::string& dataset, const DatasetOptions& options) {
     // limits are applied after far markers are removed, because a far marker is not a
     // maximum range.
     if (!options.lidars.empty()) keep_lidars(log, options.lidars);
-    read::fix_inverted_poses(log);
+    read::fix_inverted_poses(log, options.conventions);
     estimate_sweeps(log);
     remove_drop_markers(log);
     apply_range_limits(log, {options.min_range_m, options.max_range_m});
+    checks::correct_boxes(log, options.conventions);
+    read::check_settings_used(log, options.conventions);
     checks::remove_ego_boxes(log);
     checks::note_faults(log);
     return log;

@@ -28,7 +28,7 @@ LIBRARIES = {
     "lz4frame.h": "base/codecs", "lz4.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "read/bag",
     "bzlib.h": "read/bag", "proj.h": "log/georeference", "pcap/": "read/bag", "simdjson.h": "read/datasets",
     "protozero/": "read simulate/scan_files", "pugixml.hpp": "read", "toml++/": "log read run",
-    "nlohmann/": "base log read run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",
+    "nlohmann/": "base gpu log read run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",
     "oneapi/tbb": "base", "Eigen/": "base log read registration scene score train"}
 UMBRELLA = "include/relidar/relidar.hpp"
 # Headers for users who write a trainer, and headers of options. <relidar/relidar.hpp>

@@ -14,7 +14,7 @@ except ImportError as error:
     sys.exit(77)
 
 RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
-TYPE_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+TYPE_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8, "i8": 9, "u8": 10}
 
 
 def expect(condition, text):

@@ -5,10 +5,12 @@ with it. Scans and poses must be as written.
    bag_reports_test.py RELIDAR WORK        77: numpy, lz4 or zstd are missing
 """
 import math
+import os
+import pathlib
 import struct
 import subprocess
 
-from bag_harness import WORK, convert, expect, np, returns, run, run_tests, transform
+from bag_harness import RELIDAR, WORK, convert, expect, np, returns, run, run_tests, transform
 from bag_harness import cloud as cloud_of_rows
 
 import bag_writer as bags
@@ -235,10 +237,20 @@ def test_recording_times():
 
 def test_shared_frames():
     bag = written("one_frame", log(lidars=[("/points", "lidar"), ("/rear/points", "lidar"), ("/third", "lidar")]))
-    notes = check(bag)
-    expect(names(notes, "/rear/points, /third ... 'lidar' ... dataset.lidars=/points,/rear/points,/third"), notes)
+    expect(names(run("info", bag, code=2), "/points, /rear/points, /third ... 'lidar' ... dataset.lidars"), "topics of one frame")
     _, head, notes = convert(bag, "dataset.lidars=/points,/rear/points")
     expect([l["name"] for l in head["lidars"]] == ["/points", "/rear/points"] and "not read" not in notes, notes)
+    # clouds without times of points, such as filtered ones, come after those with times
+    filtered = [("/filtered", CLOUD, m[2], dict(m[3], fields=m[3]["fields"][:4])) for m in log() if m[1] == CLOUD]
+    notes = check(written("filtered", sorted(log() + filtered, key=lambda m: m[2])))
+    expect(names(notes, "not read: /filtered ... /points ... 'lidar'"), notes)
+    # the kind of poses decides, then the user
+    odometry = [(f"/{name}", "geometry_msgs/PoseStamped", m[2], {"header": m[3]["transforms"][0]["header"], "pose": m[3]["transforms"][0]["transform"]})
+                for m in log() if m[0] == "/tf" for name in "ab"]
+    bag = written("two_poses", [m for m in log() if m[1] != TF] + odometry)
+    expect(names(run("info", bag, code=2), "/a, /b ... poses ... dataset.poses_from=/a"), "two topics of poses")
+    check(bag, "dataset.poses_from=/b")
+    convert(bag, "dataset.poses=none")
 
 
 def test_shared_topics():
@@ -269,6 +281,112 @@ def test_shared_topics():
     notes = check(written("stray", [(*m[:3], dict(m[3], header={"stamp": m[3]["header"]["stamp"], "frame_id": "odd"})) if m[0] == "/points" and
                                     m[2] == T0 + 5 * STEP else m for m in log()]))
     expect(names(notes, "1 clouds ... 'odd'"), notes)
+
+
+def test_split():
+    """The second part of a split bag has no /tf_static. The poses in /tf then count for the LiDAR."""
+    wheels = lambda stamp, t: [transform(stamp, "base", f"wheel_{i}", (0, 0, 0), t) for i in range(2)]
+    messages = [m for m in log() if m[0] != "/tf_static"]
+    for name, extra in (("split", lambda stamp, t: []), ("wheels", wheels)):
+        part = [(*m[:3], {"transforms": m[3]["transforms"] + extra(m[2], i)}) if m[1] == TF else m for i, m in enumerate(messages)]
+        notes = check(written(name, part))
+        expect(names(notes, "'lidar' ... 'base' ... /tf ... /tf_static ... first part"), notes)
+        rows = np.loadtxt(WORK / f"{name}.mcap.log/poses.txt")
+        expect(np.abs(rows[:, 2:] - [0, 0, 1, 0, 0, 0]).max() < 1e-6, f"{name}: {rows}")
+    other = [(*m[:3], {"transforms": m[3]["transforms"] + [transform(m[2], "map", "other", (-0.5 * i, 0, 0))]}) if m[1] == TF else m
+             for i, m in enumerate(messages)]
+    _, head, notes = convert(written("unclear_vehicle", other))
+    expect(names(notes, "base, other ... not used ... 'lidar'"), notes)
+
+
+def with_clouds(change):
+    """Returns a drive with change(cloud message, stamp) for each cloud."""
+    return [(*m[:3], change(m[3], m[2])) if m[1] == CLOUD else m for m in log()]
+
+
+def test_row_steps():
+    """Without padding, the number of points is known, whatever row_step says."""
+    for row_step in (0, 1, ROWS * COLUMNS * 18, 2**32 - 1):
+        check(written("row_step", with_clouds(lambda c, _: dict(c, height=COLUMNS, width=ROWS, row_step=row_step))))
+    short = with_clouds(lambda c, _: dict(c, height=COLUMNS, width=ROWS, row_step=999, data=c["data"][:-1]))
+    expect(names(run("info", written("short", short), code=3), f"{COLUMNS * ROWS * 18 - 1} bytes ... {COLUMNS} rows of 999 bytes"), "missing bytes")
+
+
+def test_wide_integers():
+    """Times are nanoseconds in 64-bit integers, which PointField.msg does not define but PCL writes."""
+    for kind in ("i8", "u8"):
+        def change(_, stamp):
+            p = points()
+            row = np.zeros(len(p), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("timestamp", kind)])
+            row["x"], row["y"], row["z"] = p.T
+            row["ring"], row["timestamp"] = np.arange(len(p)) % ROWS, stamp + np.arange(len(p)) // ROWS * (STEP // COLUMNS)
+            return cloud_of_rows(stamp, "lidar", row)
+        bag = written("wide", with_clouds(change))
+        check(bag)
+        for k in range(N):
+            t = np.load(WORK / f"{bag.name}.log/scans/{k:06}.npz")["time"]
+            expect(np.abs(t - np.arange(COLUMNS) * 0.1 / COLUMNS).max() < 2e-6, f"{kind}: {t[0]}")
+
+
+def test_unknown_intensities():
+    values = np.where(np.arange(ROWS * COLUMNS) % 50 == 7, np.nan, np.arange(ROWS * COLUMNS) % 256)
+
+    def change(_, stamp):
+        p = points()
+        row = np.zeros(len(p), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("intensity", "f4")])
+        row["x"], row["y"], row["z"] = p.T
+        row["ring"], row["intensity"] = np.arange(len(p)) % ROWS, values
+        return cloud_of_rows(stamp, "lidar", row)
+    notes = check(written("nan", with_clouds(change)))
+    expect(names(notes, f"{6 * np.isnan(values).sum()} of {6 * len(values)} intensities ... 0"), notes)
+    scan = np.load(WORK / "nan.mcap.log/scans/000000.npz")
+    found, hit = returns(scan)
+    nearest = np.linalg.norm(found[:, None] - points()[None], axis=-1).argmin(1)
+    expect(np.abs(scan["intensity"][hit] - np.nan_to_num(values)[nearest] / 255).max() < 1e-6, "intensities")
+
+
+def test_paths():
+    """A path repeats its poses. A loop closure moves them in the last message."""
+    poses = [m[3]["transforms"][0] for m in log() if m[0] == "/tf"]
+
+    def path(first, end, late_m=0.0):
+        placed = [{"header": p["header"], "pose": dict(p["transform"], position=dict(p["transform"]["position"], y=late_m))} for p in poses[first:end]]
+        stamp = placed[-1]["header"]["stamp"]
+        return ("/path", "nav_msgs/Path", stamp, {"header": placed[-1]["header"], "poses": placed})
+
+    clouds = [m for m in log() if m[1] == CLOUD]
+    n = len(poses)
+    for name, paths in (("growing", [path(0, i, late_m=5.0 * (i < n)) for i in range(1, n + 1)]),
+                        ("window", [path(max(0, i - 5), i) for i in range(1, n + 1)]), ("once", [path(0, n)])):
+        bag = written(name, sorted(clouds + paths, key=lambda m: m[2]))
+        notes = check(bag)
+        expect("/path" in notes and np.abs(np.loadtxt(WORK / f"{bag.name}.log/poses.txt")[:, 2]).max() < 1e-6, f"{name}: {notes}")
+    for p in poses:
+        p["header"] = dict(p["header"], stamp=0)
+    notes = convert(written("no_stamps", clouds + [(*path(0, n)[:2], T0 + STEP, path(0, n)[3])]))[2]
+    expect(names(notes, f"{n} poses ... time stamp") and "has no poses" in notes, notes)
+
+
+def test_unused_topics():
+    """Messages of unused topics are not read. With an index, this also holds for chunks."""
+    size, images = 4_000_000, 8
+    messages = log()
+    messages += [("/camera", "sensor_msgs/CompressedImage", T0 + i * STEP + 1, {"header": {"stamp": 0, "frame_id": ""}, "format": "", "data": bytes(size)})
+                 for i in range(images)]
+    messages.sort(key=lambda m: m[2])
+    alone = sorted(messages, key=lambda m: m[0] == "/camera")   # in their own chunks
+    first = sorted(messages, key=lambda m: m[0] != "/camera")
+    for name, write in (("plain.mcap", lambda path: bags.write_mcap(path, messages)), ("table.db3", lambda path: bags.write_db3(path, messages)),
+                        ("last.mcap", lambda path: bags.write_mcap(path, alone, chunk=len(alone) - images, index=True)),
+                        ("first.mcap", lambda path: bags.write_mcap(path, first, chunk=images, index=True)),
+                        ("first.bag", lambda path: bags.write_ros1(path, first, chunk=images, index=True))):
+        write(WORK / name)
+        notes = check(WORK / name)
+        expect(names(notes, f"/camera ... {images} messages"), f"{name}: {notes}")
+        process = subprocess.Popen([RELIDAR, "info", WORK / name], stdout=subprocess.DEVNULL)
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        n_read = int(pathlib.Path(f"/proc/{process.pid}/io").read_text().split()[1])
+        expect(process.wait() == 0 and n_read < size, f"{name}: {n_read} bytes were read")
 
 
 def squeezed(program, data):
@@ -322,4 +440,4 @@ def test_frames_of_chunks():
 
 run_tests(test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
           test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames, test_shared_topics, test_zstd,
-          test_frames_of_chunks, programs=("lz4", "zstd"))
+          test_frames_of_chunks, test_split, test_row_steps, test_wide_integers, test_unknown_intensities, test_paths, test_unused_topics, programs=("lz4", "zstd"))

@@ -25,6 +25,8 @@ TYPES = {
     "nav_msgs/Odometry": [("header", HEADER), ("child_frame_id", "string"), ("pose", [("pose", POSE), COVARIANCE]),
                           ("twist", [("twist", TWIST), COVARIANCE])],
     "geometry_msgs/PoseStamped": [("header", HEADER), ("pose", POSE)],
+    "nav_msgs/Path": [("header", HEADER), ("poses", [[("header", HEADER), ("pose", POSE)]])],
+    "sensor_msgs/CompressedImage": [("header", HEADER), ("format", "string"), ("data", "bytes")],
     "livox_ros_driver2/CustomMsg": [("header", HEADER), ("timebase", "Q"), ("point_num", "I"), ("lidar_id", "B"), ("rsvd", ("B", 3)),
                                     ("points", [LIVOX])],
     "velodyne_msgs/VelodyneScan": [("header", HEADER), ("packets", [PACKET])],
@@ -107,13 +109,24 @@ def batches(records, size):
         yield batch
 
 
-def write_mcap(path, messages, form="cdr", compression="", chunk=None, end=True):
+def write_mcap(path, messages, form="cdr", compression="", chunk=None, end=True, index=False):
     """Writes an MCAP file.
     @param chunk number of messages in a chunk; None: no chunks
-    @param end the file ends with a data end and a footer, without index and summary"""
+    @param end the file ends with a data end and a footer
+    @param index also writes the index behind each chunk, and the channels in the summary"""
     encoding = "ros1" if form == "ros1" else "cdr"
     record = lambda code, body: struct.pack("<BQ", code, len(body)) + body
-    channels = {}
+    channels, summary = {}, []
+
+    def index_of(data):
+        entries, at = {}, 0
+        while at < len(data):
+            code, size = struct.unpack_from("<BQ", data, at)
+            if code == 5:
+                channel, _, log_ns = struct.unpack_from("<HIQ", data, at + 9)
+                entries.setdefault(channel, []).append(struct.pack("<QQ", log_ns, at))
+            at += 9 + size
+        return b"".join(record(7, struct.pack("<HI", c, 16 * len(e)) + b"".join(e)) for c, e in entries.items())
 
     def records_of(topic, type_name, time_ns, value):
         records = b""
@@ -121,6 +134,7 @@ def write_mcap(path, messages, form="cdr", compression="", chunk=None, end=True)
             number = channels[topic] = len(channels) + 1
             records += record(3, struct.pack("<H", number) + text(long_name(type_name)) + text("ros2msg") + text("string data"))
             records += record(4, struct.pack("<HH", number, number) + text(topic) + text(encoding) + struct.pack("<I", 0))
+            summary.append(records)
         return records + record(5, struct.pack("<HIQQ", channels[topic], 0, time_ns, time_ns) + message_bytes(type_name, value, form))
 
     with open(path, "wb") as out:   # writes messages immediately, because a bag may be larger than memory
@@ -129,10 +143,14 @@ def write_mcap(path, messages, form="cdr", compression="", chunk=None, end=True)
             body = packed(compression, data)
             out.write(data if chunk is None else record(6, struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data)) + text(compression) +
                                                         struct.pack("<Q", len(body)) + body))
-            if chunk:
+            if index:
+                out.write(index_of(data))
+            elif chunk:
                 out.write(record(7, struct.pack("<HI", 1, 0)))   # an empty index, which readers must skip
         if end:
-            out.write(record(15, struct.pack("<I", 0)) + record(2, struct.pack("<QQI", 0, 0, 0)) + b"\x89MCAP0\r\n")
+            out.write(record(15, struct.pack("<I", 0)))
+            start = out.tell() if index else 0
+            out.write(b"".join(summary if index else ()) + record(2, struct.pack("<QQI", start, 0, 0)) + b"\x89MCAP0\r\n")
 
 
 def write_db3(path, messages, form="cdr", compressed=False):
@@ -161,13 +179,14 @@ def write_metadata(folder, files, mode=""):
     (folder / "metadata.yaml").write_text("\n".join(lines) + "\n")
 
 
-def write_ros1(path, messages, compression="none", chunk=5):
-    """Writes a bag without index and counts, as `rosbag record` leaves it after an interruption."""
+def write_ros1(path, messages, compression="none", chunk=5, index=False):
+    """Writes a bag. Without index and counts, as `rosbag record` leaves it after an interruption.
+    @param index also writes the index behind each chunk, and the connections at the end"""
     def fields(**values):
         return sized(b"".join(sized(name.encode() + b"=" + value) for name, value in values.items()))
 
     sized = lambda data: struct.pack("<I", len(data)) + data
-    connections = {}
+    connections, listed, entries = {}, [], {}
 
     def records_of(topic, type_name, time_ns, value):
         records = b""
@@ -175,11 +194,22 @@ def write_ros1(path, messages, compression="none", chunk=5):
             connections[topic] = struct.pack("<I", len(connections))
             about = fields(topic=topic.encode(), type=type_name.encode(), md5sum=b"0" * 32, message_definition=b"string data")
             records += fields(op=b"\7", conn=connections[topic], topic=topic.encode()) + about
+            listed.append(records)
         time = struct.pack("<II", time_ns // 10**9, time_ns % 10**9)
+        entries.setdefault(connections[topic], []).append(time + struct.pack("<I", 0))   # readers need no offsets
         return records + fields(op=b"\2", conn=connections[topic], time=time) + sized(message_bytes(type_name, value, "ros1"))
 
-    out = b"#ROSBAG V2.0\n"
-    out += fields(op=b"\3", index_pos=struct.pack("<Q", 0), conn_count=struct.pack("<I", 0), chunk_count=struct.pack("<I", 0)) + sized(b" " * 4027)
+    def head(end):
+        return b"#ROSBAG V2.0\n" + fields(op=b"\3", index_pos=struct.pack("<Q", end), conn_count=struct.pack("<I", 0),
+                                          chunk_count=struct.pack("<I", 0)) + sized(b" " * 4027)
+
+    out = bytearray(head(0))
     for data in batches(itertools.starmap(records_of, messages), chunk):
         out += fields(op=b"\5", compression=compression.encode(), size=struct.pack("<I", len(data))) + sized(packed(compression, data))
+        for connection, times in entries.items() if index else ():
+            out += fields(op=b"\4", ver=struct.pack("<I", 1), conn=connection, count=struct.pack("<I", len(times))) + sized(b"".join(times))
+        entries.clear()
+    if index:
+        out[:len(head(0))] = head(len(out))
+        out += b"".join(listed)
     path.write_bytes(out)

@@ -130,6 +130,9 @@ no_driver() {
         check "relidar $command without a driver: the message names no driver" grep -q "driver" err
     done
     absent x
+    echo '{"file_format_version": "1.0.1", "ICD": {"library_path": "./no_library.so", "api_version": "1.3.0"}}' >driver.json
+    VK_DRIVER_FILES=$PWD/driver.json bad 4 "/no_library.so.*driver.json.*cannot be loaded" list devices
+    rm driver.json
 }
 
 devices() {

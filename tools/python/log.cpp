@@ -122,6 +122,18 @@ void bind_class(py::module_& module) {
             },
             "Notes about missing data of the log, one line each.")
         .def_property_readonly(
+            "conventions",
+            [](const LoadedLog& loaded) {
+                py::dict rows;
+                for (const UsedConvention& used : loaded.log.conventions_used)
+                    rows[py::str(used.name)] =
+                        py::dict(py::arg("value") = used.value, py::arg("from") = used.from,
+                                 py::arg("setting") = used.setting);
+                return rows;
+            },
+            "How the numbers of the log were read: dict of convention -> dict with value, from (why), and "
+            "setting, the key of the setting that changes it.")
+        .def_property_readonly(
             "config", [](const LoadedLog& loaded) { return loaded.config; },
             "A copy of the settings that the log was read with.")
         .def_property_readonly(

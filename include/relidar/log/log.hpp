@@ -12,6 +12,7 @@
 #include <relidar/base/math.hpp>
 #include <relidar/log/body_table.hpp>
 #include <relidar/log/classes.hpp>
+#include <relidar/log/conventions.hpp>
 #include <relidar/log/georeference.hpp>
 #include <relidar/log/sensor.hpp>
 
@@ -253,6 +254,7 @@ struct Log {
     IntensityResponse intensity_response;           ///< of all LiDARs
     std::string conventions;         ///< a single line for users: frames, units, time reference
     std::int64_t start_unix_ns = 0;  ///< date of time 0: nanoseconds since 1970; 0 if unknown
+    std::vector<UsedConvention> conventions_used = {};  ///< of the points, poses and boxes
     Notes notes;
     /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};

@@ -54,6 +54,7 @@ struct DatasetOptions {
     bool allow_missing_scans = true;
     /// True: skips unreadable scans with notes. False: an unreadable scan is an error.
     bool skip_broken = false;
+    Conventions conventions = {};  ///< those that the recording does not say, or says wrong
     /// True: each ray has its own firing time. False: all rays of a sweep are treated as
     /// if they were fired at the reference time of the sweep.
     bool rolling_shutter = true;

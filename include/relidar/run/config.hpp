@@ -12,6 +12,7 @@
 #include <relidar/diff/densify_options.hpp>
 #include <relidar/diff/loss_options.hpp>
 #include <relidar/diff/network.hpp>
+#include <relidar/log/conventions.hpp>
 #include <relidar/scene/scene.hpp>
 
 namespace relidar {
@@ -175,6 +176,7 @@ struct TraceConfig {
 struct Config {
     std::string preset = "paper";
     DatasetConfig dataset;
+    Conventions conventions;
     SensorConfig sensor;
     InitOptions init;
     ImageModel image;

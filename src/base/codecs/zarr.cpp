@@ -86,6 +86,8 @@ ZarrStore::ZarrStore(fs::path path) : path_(std::move(path)) {
     if (!does_path_exist(path_)) fail("{}: no such file or folder", name());
     is_archive_ = !fs::is_directory(path_);
     if (is_archive_) list_members();
+    if (has_key("zarr.json") && !has_key(".zgroup"))
+        fail("{}: found a store of zarr 3 (zarr.json), expected zarr 2 (.zgroup and .zattrs)", name());
 }
 
 /// Lists the names and positions of all members of the archive from their tar headers.

@@ -21,7 +21,7 @@ namespace relidar {
 class ZarrStore {
 public:
     /// Opens a folder, or an archive, whose members it lists.
-    /// @throws DataError if the archive is truncated or damaged
+    /// @throws DataError if the store has version 3 of zarr, or if the archive is damaged
     explicit ZarrStore(std::filesystem::path path);
 
     std::string name() const { return path_.string(); }

@@ -252,6 +252,38 @@ void remove_ego_boxes(Log& log) {
                         fmt::join(removed_boxes, ", ")));
 }
 
+void correct_boxes(Log& log, const Conventions& set) {
+    if (log.boxes.empty()) return;
+    using Origin = Conventions::BoxOrigin;
+    using Axes = Conventions::BoxAxes;
+    const auto correct = [&](BoxFault fault) {
+        for (BoxTrack& box : log.boxes) {
+            const BoxTrack stored = box;
+            for (std::size_t k = 0; k < stored.world_from_box.pose.size(); ++k)
+                box.world_from_box.pose[k] = correct_box(log, stored, stored.world_from_box.time_s[k], fault);
+        }
+    };
+    if (set.box_origin == Origin::bottom) correct(kBottomPosition);
+    if (set.box_axes == Axes::turned) correct(kTurned);
+    if (set.box_axes == Axes::mirrored_world) correct(kMirroredInWorld);
+    if (set.box_axes == Axes::mirrored_vehicle) correct(kMirroredInVehicle);
+    if (set.box_axes == Axes::swapped)
+        for (BoxTrack& box : log.boxes) std::swap(box.size_m.x, box.size_m.y);
+    constexpr const char* kAxes[] = {"",
+                                     "x forward",
+                                     "width before length",
+                                     "turned by 90 degrees",
+                                     "mirrored in the world",
+                                     "mirrored in the vehicle"};
+    const auto list = [&](const char* name, const char* value, bool is_set, const char* key) {
+        log.conventions_used.push_back({name, value, is_set ? kFromSetting : "usual", key});
+    };
+    list("box positions", set.box_origin == Origin::bottom ? "bottom side" : "centre",
+         set.box_origin != Origin::automatic, "conventions.box_origin");
+    list("box axes", kAxes[std::size_t(std::max(set.box_axes, Axes::right))], set.box_axes != Axes::automatic,
+         "conventions.box_axes");
+}
+
 std::string describe_fault(const Log& log) {
     const PointGains gains = compare_boxes(log);
     // Points gained minus lost if all boxes had this fault; 0 if too few points show it.
@@ -263,18 +295,24 @@ std::string describe_fault(const Log& log) {
         if (net_gain(fault) > net_gain(best)) best = fault;
     if (net_gain(best) <= 0) return "";
 
+    constexpr const char* kCorrections[] = {"box_origin=bottom", "box_axes=turned", "box_axes=mirrored_world",
+                                            "box_axes=mirrored_vehicle"};
     std::array<const char*, kFaultCount> descriptions;
     descriptions[kBottomPosition] =
         "the positions seem to be the centres of the bottom sides, expected the centres of the boxes";
-    descriptions[kTurned] = are_sizes_swapped(log.boxes) ? "length and width seem to be swapped"
-                                                         : "the yaw seems to be turned by 90 degrees";
+    const bool is_swapped = best == kTurned && are_sizes_swapped(log.boxes);
+    descriptions[kTurned] =
+        is_swapped ? "length and width seem to be swapped" : "the yaw seems to be turned by 90 degrees";
     descriptions[kMirroredInWorld] =
         "y and yaw seem to have the opposite sign in the world, as in left-handed coordinates (CARLA)";
     descriptions[kMirroredInVehicle] =
         "y and yaw seem to have the opposite sign in the frame of the vehicle, as in left-handed coordinates "
         "(CARLA)";
-    return fmt::format("{}: boxes that are corrected in this way gain {} points and lose {}",
-                       descriptions[best], gains[best].gained, gains[best].lost);
+    return fmt::format(
+        "{}: boxes that are corrected in this way gain {} points and lose {}; "
+        "conventions.{} corrects them",
+        descriptions[best], gains[best].gained, gains[best].lost,
+        is_swapped ? "box_axes=swapped" : kCorrections[best]);
 }
 
 }  // namespace relidar::checks

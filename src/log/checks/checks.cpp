@@ -221,7 +221,9 @@ constexpr Check kChecks[] = {
     {"equal_intensities", test_equal_intensities,
      "all intensities of the log are {:.4g} of the maximum, so rendered intensities have no meaning"},
     {"dark", test_dark,
-     "the scale of the intensities is probably wrong: the largest intensity is {:.2g} of the maximum"},
+     "the scale of the intensities is probably wrong: they reach only {:.3g} of the maximum, so all returns "
+     "are very dark; the key \"intensity_max\" in the sequence.json of a plain folder sets the scale, and "
+     "'relidar convert' writes other logs as such a folder"},
     {"saturated", test_saturated,
      "the scale of the intensities is probably wrong: {:.0f} % of the returns have the maximum intensity"},
     {"own_body", test_own_body, "{}"},

@@ -71,6 +71,9 @@ private:
 Test test_clock_jump, test_time_gaps, test_time_unit, test_speed, test_float_positions, test_few_returns,
     test_rotation, test_equal_intensities, test_dark, test_saturated, test_own_body, test_box_convention;
 
+/// Corrects all boxes by the conventions that the user has set. Lists the conventions.
+void correct_boxes(Log& log, const Conventions& set);
+
 /// Removes boxes around a LiDAR or the vehicle's origin, with a note. Trackers and
 /// simulators label the recording vehicle itself.
 void remove_ego_boxes(Log& log);

@@ -26,9 +26,8 @@ constexpr double kMaxSpeed_mps = 100.0, kMinJump_m = 2.0;
 constexpr double kMinReturnShare = 0.5;
 constexpr std::ptrdiff_t kNeighbourScans = 5;
 // If the largest intensity of a LiDAR is smaller, the scale of the intensities is
-// probably wrong. The limit is above 1/255, which values of 0 to 1 become if they are
-// divided by 255.
-constexpr float kMinBrightest = 0.005f;
+// probably wrong: RELLIS-3D reaches only 0.0119. Even asphalt reflects about 0.05.
+constexpr float kMinBrightest = 0.05f;
 constexpr double kMaxSaturatedShare = 0.25;  // of the returns that have the maximum intensity
 // Plausible median time between frames, relative to the duration of a sweep. With a wrong
 // unit, frames are by a multiple of 1000 farther apart. A log may have a scan every few

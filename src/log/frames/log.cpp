@@ -143,8 +143,8 @@ Log strip_frames(const Log& log) {
     // Copies the other members one by one, because the scans can be gigabytes. The
     // binding needs all members, so without a new member it does not compile.
     const auto& [name, source, lidars, frames, world_from_vehicle, boxes, world_offset_m, georeference,
-                 intensity_response, conventions, start_unix_ns, notes, test_frames, has_poses,
-                 rolling_shutter] = log;
+                 intensity_response, conventions, start_unix_ns, conventions_used, notes, test_frames,
+                 has_poses, rolling_shutter] = log;
     return {.name = name,
             .source = source,
             .lidars = lidars,
@@ -156,6 +156,7 @@ Log strip_frames(const Log& log) {
             .intensity_response = intensity_response,
             .conventions = conventions,
             .start_unix_ns = start_unix_ns,
+            .conventions_used = conventions_used,
             .notes = notes,
             .test_frames = test_frames,
             .has_poses = has_poses,

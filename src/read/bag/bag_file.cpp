@@ -118,6 +118,28 @@ std::size_t TopicTable::topic_index(BagTopic topic) {
     return topics_.size() - 1;
 }
 
+std::size_t BagFile::find_topic(std::uint32_t channel, TopicTable& topics) {
+    if (const auto known = channels_.find(channel); known != channels_.end()) return known->second;
+    const auto listed = listed_.find(channel);
+    if (listed == listed_.end())
+        fail("a message belongs to channel {}, but no earlier record describes this channel", channel);
+    return channels_[channel] = topics.topic_index(listed->second);
+}
+
+bool BagFile::skip_chunk(std::uint64_t chunk_offset, const std::vector<IndexEntry>& index, TopicTable& topics,
+                         const ReadCallbacks& callbacks) {
+    // Without this list, later chunks may need a description of a channel in this chunk.
+    if (listed_.empty() || index.empty()) return false;
+    for (const IndexEntry& entry : index)
+        if (!listed_.contains(entry.channel) ||
+            callbacks.topic_filter(topics.topics()[find_topic(entry.channel, topics)]))
+            return false;
+    for (const IndexEntry& entry : index)
+        callbacks.pass(topics,
+                       {find_topic(entry.channel, topics), entry.log_ns, {}, {chunk_offset, entry.in_chunk}});
+    return true;
+}
+
 BagRecording::BagRecording(const fs::path& path, bool skip_broken)
     : paths_(find_recording_files(path, notes_)) {
     if (paths_.empty())

@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <limits>
+#include <map>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -81,6 +83,25 @@ public:
     virtual std::string points_frame() const { return ""; }
 
 protected:
+    /// A message in the index behind a chunk.
+    struct IndexEntry {
+        std::uint32_t channel;
+        std::int64_t log_ns;
+        std::uint64_t in_chunk;  ///< see MessagePosition
+    };
+    /// Topics of the channels (in ROS 1: connections) that a record has described.
+    std::map<std::uint32_t, std::size_t> channels_;
+    /// Topics in the index at the end of the file. Empty if the file has no index.
+    std::map<std::uint32_t, BagTopic> listed_;
+
+    /// Returns the topic of a channel.
+    /// @throws DataError if neither an earlier record nor `listed_` describes it
+    std::size_t find_topic(std::uint32_t channel, TopicTable& topics);
+    /// Passes on the times of a chunk's messages and returns true, if its index shows
+    /// that none of its topics is requested. Otherwise returns false.
+    bool skip_chunk(std::uint64_t chunk_offset, const std::vector<IndexEntry>& index, TopicTable& topics,
+                    const ReadCallbacks& callbacks);
+
     /// Processes the record at a byte. If it is damaged, throws, or skips it with a note.
     template <class Process>
     static void process_or_skip(const std::string& file, std::uint64_t at, bool skips,

@@ -154,7 +154,8 @@ Scan BagScans::read_rays(std::size_t frame) const {
     return clouds.packets.decode(revolution, packets_of_message, lidar.sensor, frame_ns);
 }
 
-LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s) {
+LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s,
+                          const Conventions& set) {
     LidarTopic topic{&cloud_topic};
     const bool are_units_known = !cloud_topic.packets.empty();
     if (are_units_known) return topic;
@@ -166,7 +167,8 @@ LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic
         stamps_s.push_back(1e-9 * double(entry.stamp_ns + entry.correction_ns));
         topic.samples.emplace(entry.message_position, samples.back());
     });
-    topic.units = read::estimate_cloud_units(samples, stamps_s, cloud_period_s);
+    topic.units = read::estimate_cloud_units(samples, stamps_s, cloud_period_s, set);
+    if (set.intensity_max > 0.0) topic.units.fields.scale = {set.intensity_max, true, kFromSetting};
     return topic;
 }
 

@@ -34,7 +34,8 @@ struct LidarTopic {
 };
 /// Reads a few clouds of a topic and estimates the units of their values.
 /// @param cloud_period_s  time between clouds in seconds
-LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s);
+LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s,
+                          const Conventions& set);
 
 /// Function that returns the pose of a LiDAR in the world frame at a time of the log.
 using LidarPoseFunction = std::function<Pose(std::size_t lidar, double time_s)>;

@@ -10,6 +10,8 @@
 #include <string_view>
 #include <vector>
 
+#include <relidar/read/dataset.hpp>
+
 #include "read/bag/survey.hpp"
 
 namespace relidar::bag {
@@ -27,6 +29,12 @@ std::vector<MessageTimes> list_times(const Entries& entries) {
 /// scans.
 inline bool is_world_frame(std::string_view frame) {
     return frame == "map" || frame == "odom" || frame == "world" || frame == "earth";
+}
+
+/// Returns true for usual names of the vehicle frame. Clouds in this frame are usually
+/// merged from several sensors.
+inline bool is_vehicle_frame(std::string_view frame) {
+    return frame == "base_link" || frame == "base_footprint" || frame == "vehicle" || frame == "ego";
 }
 
 struct ClockOffset {
@@ -57,7 +65,8 @@ struct ChosenClouds {
 /// Selects the topics whose clouds are loaded, one for each LiDAR, and the main LiDAR.
 /// @param requested_topics  names of topics; empty: automatic selection
 /// @throws DataError if no topic contains clouds
-/// @throws UsageError if a requested topic contains no clouds
+/// @throws UsageError if a requested topic contains no clouds, or without a request, if
+/// topics of one frame are of the same kind
 ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
                            const std::vector<std::string>& requested_topics);
 
@@ -81,16 +90,18 @@ struct ChosenPoses {
     std::string world;        ///< frame in which `path` is expressed
     std::string vehicle;      ///< frame of the vehicle, on which the LiDARs are mounted
     std::string description;  ///< text about the selected source for the user
-    std::string clock_note;   ///< text about a clock offset between clouds and poses; may be empty
+    std::string clock_note;   ///< text about an offset between clouds and poses that is not corrected
+    std::vector<UsedConvention> conventions;  ///< of the poses
     std::vector<std::string> notes;
 };
 /// Selects the source of the vehicle poses and the clock of the log.
 /// @param main_lidar_clouds  the poses must cover their times. Damaged times are
 /// corrected or their clouds removed
-/// @param requested_frame_or_topic  frame or pose topic; empty: automatic selection
-/// @throws UsageError if `requested_frame_or_topic` is neither a frame nor a pose topic
+/// @param options  bag.poses_from is a frame or pose topic; empty: automatic selection
+/// @throws UsageError if this is neither a frame nor a pose topic, or if several topics
+/// of the same kind have poses
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
-                         const std::string& requested_frame_or_topic);
+                         const DatasetOptions& options);
 
 /// Fits the path of the vehicle, which must be known, to positions on the earth.
 GeoreferenceFit find_place(const FixTopic& fixes, const ChosenPoses& poses, const FrameTree& frames);

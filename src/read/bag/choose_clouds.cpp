@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <map>
-#include <tuple>
+#include <set>
 
 #include <fmt/ranges.h>
 
@@ -13,8 +13,6 @@
 namespace relidar::bag {
 namespace {
 
-// Sweep rate of a further LiDAR, divided by the rate of the main LiDAR.
-constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 // Limits of the lists of topics and of reasons in an error message.
 constexpr std::size_t kMostTopics = 10, kMostReasons = 3;
 
@@ -92,28 +90,12 @@ std::string explain_no_clouds(const BagRecording& bag, const BagIndex& index,
     return text;
 }
 
-/// Returns true if intensities are integers of one byte.
-bool has_byte_intensities(const CloudTopic& clouds) {
-    return std::ranges::any_of(clouds.fields, [](const CloudMessage::CloudField& field) {
-        return read::find_attribute(field.name) == read::PointAttribute::intensity && field.size == 1;
-    });
-}
-
-/// Returns a key that is greater for data with more information of the sensor: packets,
-/// then clouds with times, with rings, with return numbers, with intensities of more than
-/// 8 bits, then with many points.
-auto rate_content(const CloudTopic& clouds) {
-    const bool has_returns = clouds.has_field(read::PointAttribute::return_number) ||
-                             clouds.has_field(read::PointAttribute::return_type);
-    return std::tuple(!clouds.packets.empty(), clouds.has_field(read::PointAttribute::time),
-                      clouds.has_field(read::PointAttribute::ring), has_returns,
-                      !has_byte_intensities(clouds), clouds.median_points());
-}
-
-/// Returns true for usual names of the vehicle frame. Clouds in this frame are usually
-/// merged from several sensors.
-bool is_vehicle_frame(std::string_view frame) {
-    return frame == "base_link" || frame == "base_footprint" || frame == "vehicle" || frame == "ego";
+/// Returns the rank of the kind of clouds: packets, then clouds with times of points,
+/// with rings, and others. The first kinds contain more of the sensor's data.
+int rank_kind(const CloudTopic& clouds) {
+    if (!clouds.packets.empty()) return 0;
+    if (clouds.has_field(read::PointAttribute::time)) return 1;
+    return clouds.has_field(read::PointAttribute::ring) ? 2 : 3;
 }
 
 bool is_in_sensor_frame(const CloudTopic& cloud_topic) {
@@ -133,14 +115,6 @@ void check_cloud_frame(const std::string& topic_name, const CloudTopic& clouds,
             "{}: the clouds are in the vehicle frame '{}', probably because clouds of several LiDARs were "
             "merged. All rays start at the origin of this frame, which is inaccurate near the vehicle",
             topic_name, clouds.frame));
-}
-
-/// Returns the number of sweeps per second. The message rate is higher if a sweep
-/// consists of several messages.
-double sweep_rate_hz(const BagIndex& index, const CloudTopic& cloud_topic) {
-    const TopicStatistics& facts = index.facts[cloud_topic.topic];
-    return facts.rate_hz() * double(cloud_topic.clouds.size()) /
-           double(std::max<std::size_t>(facts.n - cloud_topic.n_empty, 1));
 }
 
 /// Returns the indices of the requested clouds in `index.clouds`, ascending. If several
@@ -175,22 +149,12 @@ const std::string& lidar_frame(const BagIndex& index, const CloudTopic& cloud_to
     return cloud_topic.frame;
 }
 
-/// Returns a note that topics are not read, because another topic has their frame.
-std::string describe_copies(const std::vector<std::string>& copies, const std::string& frame,
-                            const std::string& used) {
-    const bool is_one = copies.size() == 1;
-    return fmt::format(
-        "{} {} {} not read, because the clouds have the frame '{}' like {}, so they count as copies; to read "
-        "another LiDAR there, use dataset.lidars={},{}",
-        is_one ? "topic" : "topics", fmt::join(copies, ", "), is_one ? "is" : "are", quote(frame), used, used,
-        fmt::join(copies, ","));
-}
-
-/// If several topics have the same frame, selects the one with the least processed data,
-/// because the others are usually copies. Adds a note about the other topics. Ignores
-/// clouds in the frame of the vehicle or the world if some are in a sensor's frame.
-std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagIndex& index,
-                                           std::vector<std::string>& notes) {
+/// Selects the topic of each frame whose kind has the lowest rank, with a note about
+/// other topics. Ignores clouds in the frame of the vehicle or the world if some are in a
+/// sensor's frame.
+/// @throws UsageError if a frame has several topics of one kind
+std::vector<std::size_t> select_topics(const BagRecording& bag, const BagIndex& index,
+                                       std::vector<std::string>& notes) {
     const bool has_sensor_frame = std::ranges::any_of(index.clouds, [&](const CloudTopic& clouds) {
         return !clouds.clouds.empty() && is_in_sensor_frame(clouds);
     });
@@ -202,45 +166,28 @@ std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagInd
     }
     std::vector<std::size_t> lidars;
     for (const auto& [frame, candidates] : clouds_of_frame) {
-        const auto rating = [&](std::size_t c) { return rate_content(index.clouds[c]); };
-        const CloudTopic& best = index.clouds[*std::ranges::max_element(candidates, {}, rating)];
-        std::vector<std::string> copies;
+        const auto rank = [&](std::size_t c) { return rank_kind(index.clouds[c]); };
+        const std::size_t best = *std::ranges::min_element(candidates, {}, rank);
+        std::set<std::string> used, unused;  // names of topics
         for (const std::size_t c : candidates) {
-            // Several LiDARs of one topic are no copies.
-            if (index.clouds[c].topic == best.topic) lidars.push_back(c);
-            else copies.push_back(index.clouds[c].make_name(bag));
+            const std::string& name = bag.topics()[index.clouds[c].topic].name;
+            (rank(c) == rank(best) ? used : unused).insert(name);
+            if (rank(c) == rank(best)) lidars.push_back(c);
         }
-        // Copies of packets are usual, because drivers make clouds from packets.
-        if (!copies.empty() && best.packets.empty())
-            notes.push_back(describe_copies(copies, frame, bag.topics()[best.topic].name));
+        if (used.size() > 1)
+            fail<UsageError>(
+                "the topics {} contain clouds in the frame '{}', expected one topic for each frame; select "
+                "topics with dataset.lidars, for example dataset.lidars={}",
+                fmt::join(used, ", "), quote(frame), *used.begin());
+        // Drivers usually publish the clouds of packets in the same frame.
+        if (!unused.empty() && rank(best) > 0)
+            notes.push_back(
+                fmt::format("not read: {}, because {} has the same frame '{}' and more data of the sensor; "
+                            "dataset.lidars selects other topics",
+                            fmt::join(unused, ", "), *used.begin(), quote(frame)));
     }
     std::ranges::sort(lidars);
     return lidars;
-}
-
-/// Returns the main LiDAR, whose clouds define the frames of the log. Prefers packets and
-/// clouds with times, then the most points.
-/// @param lidars  indices in `index.clouds`, like the result
-std::size_t choose_main(const BagIndex& index, const std::vector<std::size_t>& lidars) {
-    return *std::ranges::max_element(lidars, {}, [&](std::size_t c) {
-        const CloudTopic& clouds = index.clouds[c];
-        const bool has_times = !clouds.packets.empty() || clouds.has_field(read::PointAttribute::time);
-        return std::pair(has_times, double(clouds.median_points()) * double(clouds.clouds.size()));
-    });
-}
-
-/// Returns why a LiDAR cannot be read together with the main LiDAR, or an empty text. Its
-/// mounting must be rigid, and its rate similar.
-std::string find_obstacle(const BagRecording& bag, const BagIndex& index, const CloudTopic& clouds,
-                          const CloudTopic& main) {
-    if (&clouds == &main) return "";
-    if (!index.frames.find_constant(main.frame, clouds.frame))
-        return fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",
-                           clouds.frame, main.frame);
-    const double rate = sweep_rate_hz(index, clouds) / std::max(sweep_rate_hz(index, main), 1e-9);
-    if (rate >= kLeastRate && rate <= kMostRate) return "";
-    return fmt::format("it contains {:.3g} times as many clouds as topic {}", rate,
-                       bag.topics()[main.topic].name);
 }
 
 }  // namespace
@@ -249,30 +196,34 @@ ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
                            const std::vector<std::string>& requested_topics) {
     ChosenClouds choice;
     const std::vector<std::size_t> candidates = requested_topics.empty()
-                                                    ? select_raw_topics(bag, index, choice.notes)
+                                                    ? select_topics(bag, index, choice.notes)
                                                     : find_requested(bag, index, requested_topics);
     if (candidates.empty())
         fail(
             "{}: the recording has no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or "
             "livox_ros_driver2/CustomMsg; it contains {}",
             bag.file_paths().front().string(), explain_no_clouds(bag, index), format_topics(bag));
-    const std::size_t main = choose_main(index, candidates);
+    // The clouds of the main LiDAR define the frames of the log.
+    const std::size_t main =
+        *std::ranges::min_element(candidates, {}, [&](std::size_t c) { return rank_kind(index.clouds[c]); });
+    const std::string& main_frame = index.clouds[main].frame;
     for (const std::size_t c : candidates) {
         const CloudTopic& clouds = index.clouds[c];
         const std::string name = clouds.make_name(bag);
-        const std::string obstacle = find_obstacle(bag, index, clouds, index.clouds[main]);
-        if (obstacle.empty()) {
+        if (c == main || index.frames.find_constant(main_frame, clouds.frame)) {
             check_cloud_frame(name, clouds, choice.notes);
             if (c == main) choice.main = choice.lidars.size();
             choice.lidars.push_back(c);
-        } else if (requested_topics.empty()) {
-            choice.notes.push_back(
-                fmt::format("topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name,
-                            obstacle, name));
-        } else {
+            continue;
+        }
+        const std::string obstacle =
+            fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'", clouds.frame,
+                        main_frame);
+        if (!requested_topics.empty())
             fail("topic {} cannot be read together with the other topics of dataset.lidars: {}", name,
                  obstacle);
-        }
+        choice.notes.push_back(fmt::format(
+            "topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name, obstacle, name));
     }
     return choice;
 }

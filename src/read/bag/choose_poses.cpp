@@ -8,6 +8,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/bag/choose.hpp"
+#include "read/scans/pose_conventions.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -17,8 +18,11 @@ struct PoseSource {
     /// name of the frame in which the poses are given, for example "map"
     std::string world;
     const PoseTopic* topic = nullptr;  ///< pose topic; null if the poses come from the transforms in /tf
-    std::string vehicle;               ///< frame whose poses are given
-    std::string description;           ///< text for the user
+    std::string posed_frame;           ///< frame in /tf whose poses are given
+    /// Frame of the vehicle. Differs from `posed_frame` if the mounting of the LiDAR is
+    /// unknown. The poses then count for the LiDAR.
+    std::string vehicle;
+    std::string description;  ///< text for the user
 };
 
 /// Follows the parent frames from the sensor to `ancestor_frame`. Returns the first frame
@@ -41,11 +45,63 @@ PoseSource make_tf_source(const FrameTree& frame_tree, const std::vector<std::st
     const auto moving_frame = find_moving_frame(frame_tree, frame_path_to_root, ancestor_frame);
     PoseSource source;
     source.world = ancestor_frame;
-    source.vehicle = moving_frame.value_or(frame_path_to_root.front());
+    source.vehicle = source.posed_frame = moving_frame.value_or(frame_path_to_root.front());
     source.description =
         fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}", source.vehicle,
                     ancestor_frame, fmt::join(frame_path_to_root, " < "),
                     moving_frame ? "" : "; these poses are constant, so the LiDAR does not move");
+    return source;
+}
+
+/// Returns the moving frame of /tf with a usual name of a vehicle. Otherwise returns the
+/// lowest moving frame that carries all moving frames which do not carry it, such as
+/// wheels.
+std::optional<std::string> find_vehicle(const FrameTree& frame_tree) {
+    const std::vector<std::string> moving = frame_tree.moving_frames();
+    const auto named = std::ranges::find_if(moving, is_vehicle_frame);
+    if (named != moving.end()) return *named;
+    const auto is_below = [&](const std::string& frame, const std::string& ancestor) {
+        const std::vector<std::string> chain = frame_tree.path_to_root(frame);
+        return std::ranges::find(chain, ancestor) != chain.end();
+    };
+    std::optional<std::string> vehicle;
+    for (const std::string& frame : moving) {
+        const bool is_common = std::ranges::all_of(moving, [&](const std::string& other) {
+            return is_below(other, frame) || is_below(frame, other);
+        });
+        if (is_common && (!vehicle || is_below(frame, *vehicle))) vehicle = frame;
+    }
+    return vehicle;
+}
+
+/// Returns a note that no transform connects a LiDAR with the frame of the poses.
+std::string describe_missing_link(const std::string& lidar_frame, const std::string& posed_frame,
+                                  const std::string& source_name) {
+    return fmt::format(
+        "no transform connects the frame '{}' of the LiDAR with the frame '{}' of the poses in {} (it is "
+        "usually in /tf_static, in the first part of a split recording); the poses are used as poses of the "
+        "LiDAR",
+        quote(lidar_frame), quote(posed_frame), source_name);
+}
+
+/// Returns the frame of the vehicle in /tf and its ancestors if no transforms connect it
+/// with the LiDAR. Otherwise returns an empty list.
+std::vector<std::string> loose_chain(const FrameTree& frame_tree,
+                                     const std::vector<std::string>& frame_path_to_root) {
+    const std::optional<std::string> vehicle = find_vehicle(frame_tree);
+    if (!vehicle) return {};
+    std::vector<std::string> chain = frame_tree.path_to_root(*vehicle);
+    return chain.back() == frame_path_to_root.back() ? std::vector<std::string>{} : chain;
+}
+
+/// Uses the poses in /tf of a frame that is not connected with the LiDAR as poses of the
+/// LiDAR, with a note.
+PoseSource make_loose_source(const FrameTree& frame_tree, const std::vector<std::string>& vehicle_chain,
+                             const std::string& world, const std::string& lidar_frame,
+                             std::vector<std::string>& notes) {
+    PoseSource source = make_tf_source(frame_tree, vehicle_chain, world);
+    notes.push_back(describe_missing_link(lidar_frame, source.posed_frame, "/tf"));
+    source.vehicle = lidar_frame;
     return source;
 }
 
@@ -56,14 +112,12 @@ PoseSource make_topic_source(const BagRecording& bag, const FrameTree& frame_tre
                              std::vector<std::string>& notes) {
     PoseSource source{.world = pose_topic.parent,
                       .topic = &pose_topic,
+                      .posed_frame = {},
                       .vehicle = pose_topic.child.empty() ? "base_link" : pose_topic.child,
                       .description = {}};
     const std::string& name = bag.topics()[pose_topic.topic].name;
     if (!frame_tree.find_constant(source.vehicle, lidar_frame)) {
-        notes.push_back(
-            fmt::format("/tf_static has no transform between '{}' and '{}', so the poses of {} are used as "
-                        "poses of the LiDAR",
-                        lidar_frame, source.vehicle, name));
+        notes.push_back(describe_missing_link(lidar_frame, source.vehicle, name));
         source.vehicle = lidar_frame;
     }
     source.description = fmt::format("poses of the frame '{}' in the frame '{}' are read from the topic {}",
@@ -76,8 +130,17 @@ PoseSource find_source(const BagRecording& bag, const BagIndex& index,
                        const std::vector<std::string>& frame_path_to_root,
                        const std::string& requested_frame_or_topic, std::vector<std::string>& notes) {
     std::vector<std::string> available(frame_path_to_root.begin() + 1, frame_path_to_root.end());
-    if (std::ranges::find(available, requested_frame_or_topic) != available.end())
-        return make_tf_source(index.frames, frame_path_to_root, requested_frame_or_topic);
+    const auto is_available = [&] {
+        return std::ranges::find(available, requested_frame_or_topic) != available.end();
+    };
+    if (is_available()) return make_tf_source(index.frames, frame_path_to_root, requested_frame_or_topic);
+    if (const std::vector<std::string> chain = loose_chain(index.frames, frame_path_to_root);
+        !chain.empty()) {
+        available.insert(available.end(), chain.begin() + 1, chain.end());
+        if (is_available())
+            return make_loose_source(index.frames, chain, requested_frame_or_topic,
+                                     frame_path_to_root.front(), notes);
+    }
     for (const PoseTopic& topic : index.poses) {
         if (bag.topics()[topic.topic].name == requested_frame_or_topic)
             return make_topic_source(bag, index.frames, topic, frame_path_to_root.front(), notes);
@@ -89,26 +152,63 @@ PoseSource find_source(const BagRecording& bag, const BagIndex& index,
         available.empty() ? "none" : fmt::format("{}", fmt::join(available, ", ")));
 }
 
-/// Selects a source automatically: moving transforms, then a pose topic, then constant
-/// transforms to a world frame. Prefers the frame "map", because it has no drift.
-std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex& index,
-                                        const std::vector<std::string>& frame_path_to_root,
-                                        std::vector<std::string>& notes) {
+/// Returns the frame "map" if it is an ancestor, because it has no drift, or else the
+/// outermost frame.
+std::string select_world(const std::vector<std::string>& frame_path_to_root) {
     const bool has_map = std::ranges::find(frame_path_to_root, "map") != frame_path_to_root.end();
-    const std::string world = has_map ? "map" : frame_path_to_root.back();
+    return has_map ? "map" : frame_path_to_root.back();
+}
+
+/// Returns the pose topic whose kind is first: odometry, then poses, then paths, which
+/// can also be plans. Returns null if there are none with at least two poses.
+/// @throws UsageError if there are several of one kind and `must_be_one`
+const PoseTopic* select_topic(const BagRecording& bag, const BagIndex& index, bool must_be_one) {
+    const auto rank = [&](const PoseTopic& poses) {
+        const std::string& type = bag.topics()[poses.topic].type;
+        return type == "nav_msgs/Odometry" ? 0 : type == kPathType ? 2 : 1;
+    };
+    const PoseTopic* best = nullptr;
+    std::vector<std::string> names;  // of the topics with the rank of `best`
+    for (const PoseTopic& poses : index.poses) {
+        if (poses.samples.size() < 2 || (best && rank(poses) > rank(*best))) continue;
+        if (!best || rank(poses) < rank(*best)) {
+            best = &poses;
+            names.clear();
+        }
+        names.push_back(bag.topics()[poses.topic].name);
+    }
+    if (names.size() > 1 && must_be_one)
+        fail<UsageError>(
+            "the topics {} contain poses, expected one topic; select one with dataset.poses_from={}",
+            fmt::join(names, ", "), names[0]);
+    return best;
+}
+
+/// Selects a source automatically: moving transforms, then a pose topic, then constant
+/// transforms to a world frame, then moving transforms that are not connected with the
+/// LiDAR.
+std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex& index,
+                                        const std::vector<std::string>& frame_path_to_root, bool must_be_one,
+                                        std::vector<std::string>& notes) {
+    const std::string world = select_world(frame_path_to_root);
     if (find_moving_frame(index.frames, frame_path_to_root, world))
         return make_tf_source(index.frames, frame_path_to_root, world);
 
-    // Uses the pose topic with the most messages. Prefers odometry topics.
-    const auto best = std::ranges::max_element(index.poses, {}, [&](const PoseTopic& poses) {
-        const bool is_odometry = bag.topics()[poses.topic].type == "nav_msgs/Odometry";
-        return std::pair(is_odometry, poses.samples.size());
-    });
-    if (best != index.poses.end() && best->samples.size() >= 2)
-        return make_topic_source(bag, index.frames, *best, frame_path_to_root.front(), notes);
+    if (const PoseTopic* topic = select_topic(bag, index, must_be_one))
+        return make_topic_source(bag, index.frames, *topic, frame_path_to_root.front(), notes);
     if (is_world_frame(world) && frame_path_to_root.size() > 1)
         return make_tf_source(index.frames, frame_path_to_root, world);
-    return std::nullopt;
+    const std::vector<std::string> chain = loose_chain(index.frames, frame_path_to_root);
+    if (chain.empty()) {
+        const std::vector<std::string> moving = index.frames.moving_frames();
+        if (!moving.empty() && !find_vehicle(index.frames))
+            notes.push_back(
+                fmt::format("the poses of the frames {} in /tf are not used, because no transform "
+                            "connects one of them with the frame '{}' of the LiDAR",
+                            fmt::join(moving, ", "), quote(frame_path_to_root.front())));
+        return std::nullopt;
+    }
+    return make_loose_source(index.frames, chain, select_world(chain), frame_path_to_root.front(), notes);
 }
 
 /// Sets the poses of a source on the clock of the log.
@@ -118,7 +218,7 @@ void set_path(ChosenPoses& choice, const BagIndex& index, const PoseSource& sour
     choice.poses_zero_ns = poses_zero_ns;
     if (source.topic)
         choice.path.emplace().append_samples(source.topic->samples, choice.clock, poses_zero_ns);
-    else choice.path = index.frames.make_chain(source.world, source.vehicle, choice.clock, poses_zero_ns);
+    else choice.path = index.frames.make_chain(source.world, source.posed_frame, choice.clock, poses_zero_ns);
 }
 
 /// Returns the number of clouds at whose times the pose of the vehicle is known.
@@ -130,14 +230,23 @@ std::size_t count_posed(const CloudTopic& clouds, const ChosenPoses& choice) {
 
 /// Returns the samples of the poses. Returns null if the source does not move.
 const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSource& source) {
-    return source.topic ? &source.topic->samples : index.frames.densest_samples(source.world, source.vehicle);
+    return source.topic ? &source.topic->samples
+                        : index.frames.densest_samples(source.world, source.posed_frame);
 }
 
 /// Shifts the poses in time if their stamps come from another clock than those of the
 /// clouds. The offset must be certain, and more clouds must then have a pose. Otherwise
 /// only warns of the offset.
+/// @param known_s  offset that the user has set
 void correct_pose_clock(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
-                        const PoseSource& source) {
+                        const PoseSource& source, std::optional<double> known_s) {
+    const auto list = [&](const std::string& value, const char* from) {
+        choice.conventions.push_back({"clock", value, from, "conventions.clock_offset_s"});
+    };
+    if (known_s) {
+        set_path(choice, index, source, choice.zero_ns - std::llround(1e9 * *known_s));
+        return list(fmt::format("clouds {:.3f} s ahead of the poses", *known_s), kFromSetting);
+    }
     const std::vector<StampedPose>* poses = find_samples(index, source);
     if (choice.clock == LogClock::recorder || !poses) return;
     const ClockOffset offset = estimate_offset(list_times(clouds.clouds), list_times(*poses));
@@ -150,13 +259,16 @@ void correct_pose_clock(ChosenPoses& choice, const BagIndex& index, const CloudT
     constexpr std::size_t kMinExtraClouds = 2;
     const bool is_better = n_corrected > n_posed + kMinExtraClouds || n_corrected == clouds.clouds.size();
     const bool is_corrected = offset.is_clear && is_better;
-    if (is_corrected) choice = std::move(corrected);
-    choice.clock_note =
-        fmt::format("compared with the recording times, the time stamps of the clouds are {}{}",
-                    offset.describe("the time stamps of the poses"),
-                    is_corrected ? ", so their clocks differ; the poses are shifted by this time"
-                                 : "; the clocks differ or messages are late; nothing is corrected, so "
-                                   "check the poses");
+    const std::string difference = offset.describe("the time stamps of the poses");
+    if (is_corrected) {
+        choice = std::move(corrected);
+        return list("clouds " + difference, "guess: stamps and recording times");
+    }
+    choice.clock_note = fmt::format(
+        "compared with the recording times, the time stamps of the clouds are {}; the clocks "
+        "differ or messages are late; nothing is corrected; check the poses, or set "
+        "conventions.clock_offset_s",
+        difference);
 }
 
 std::int64_t first_cloud_ns(const CloudTopic& clouds, LogClock clock) {
@@ -196,12 +308,15 @@ void select_clock(ChosenPoses& choice, bool has_cloud_stamps, bool lacks_pose_st
 }  // namespace
 
 ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
-                         const std::string& requested_frame_or_topic) {
+                         const DatasetOptions& options) {
+    const std::string& requested = options.bag.poses_from;
     ChosenPoses choice;
     const std::vector<std::string> frame_chain = index.frames.path_to_root(main_lidar_clouds.frame);
     std::optional<PoseSource> source;
-    if (requested_frame_or_topic.empty()) source = select_source(bag, index, frame_chain, choice.notes);
-    else source = find_source(bag, index, frame_chain, requested_frame_or_topic, choice.notes);
+    // Several topics of one kind are an error, unless a file has the poses.
+    const bool must_be_one = options.poses_file.empty();
+    if (requested.empty()) source = select_source(bag, index, frame_chain, must_be_one, choice.notes);
+    else source = find_source(bag, index, frame_chain, requested, choice.notes);
 
     // Selects the clock, then corrects damaged times, because the first becomes 0 s.
     const std::vector<StampedPose>* poses = source ? find_samples(index, *source) : nullptr;
@@ -219,7 +334,21 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     choice.description = source->description;
     // Sets the poses on this clock. If theirs differs, shifts them or changes the clock.
     set_path(choice, index, *source, choice.zero_ns);
-    correct_pose_clock(choice, index, main_lidar_clouds, *source);
+    if (options.poses_file.empty()) {
+        const Conventions& set = options.conventions;
+        const std::string& topic = source->topic ? bag.topics()[source->topic->topic].name : "/tf";
+        choice.conventions.push_back(
+            {"vehicle poses", fmt::format("'{}' in '{}', {}", source->vehicle, source->world, topic),
+             requested.empty() ? "guess: the usual topics" : kFromSetting, "dataset.poses_from"});
+        const bool is_wxyz = set.quaternions == Conventions::Quaternions::wxyz;
+        if (source->topic)
+            choice.conventions.push_back({"quaternions", is_wxyz ? "w x y z" : "x y z w",
+                                          set.quaternions == Conventions::Quaternions::automatic
+                                              ? "type of the messages"
+                                              : kFromSetting,
+                                          "conventions.quaternions"});
+        correct_pose_clock(choice, index, main_lidar_clouds, *source, read::read_clock_offset_s(set));
+    }
     try_recorder_clock(choice, index, main_lidar_clouds, *source);
     return choice;
 }

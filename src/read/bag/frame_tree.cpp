@@ -168,6 +168,13 @@ std::optional<FramePose> FrameTree::find_chain(const std::string& target_frame,
                      .ancestor_from_source = make_chain(*common, source_frame, clock, time_origin_ns)};
 }
 
+std::vector<std::string> FrameTree::moving_frames() const {
+    std::vector<std::string> names;
+    for (const auto& [frame, parents] : parents_)
+        if (is_frame_moving(frame)) names.push_back(frame);
+    return names;
+}
+
 std::vector<std::string> FrameTree::ambiguous_frames() const {
     std::vector<std::string> names;
     for (const auto& [frame, parents] : parents_)

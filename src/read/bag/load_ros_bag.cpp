@@ -14,6 +14,8 @@
 #include "log/frames/match_sweeps.hpp"
 #include "read/bag/bag_scans.hpp"
 #include "read/bag/choose.hpp"
+#include "read/scans/cloud_units.hpp"
+#include "read/scans/pose_conventions.hpp"
 #include "read/scans/pose_files.hpp"
 #include "read/scans/sweep_poses.hpp"
 
@@ -30,16 +32,27 @@ constexpr double kMaxSweepOffset = 0.6;
 
 constexpr const char* kOtherPoses = "select smooth poses with dataset.poses_from, for example the frame odom";
 
+/// Indexes a recording. Reads the quaternions of pose topics as the user has set.
+BagIndex index_with_conventions(BagRecording& bag, const DatasetOptions& options) {
+    BagIndex index = index_bag(bag, options.progress);
+    if (options.conventions.quaternions != Conventions::Quaternions::wxyz) return index;
+    for (PoseTopic& topic : index.poses)
+        for (StampedPose& sample : topic.samples) {
+            const glm::dquat read = sample.pose.rotation;  // as x y z w
+            sample.pose.rotation = glm::dquat(read.x, read.y, read.z, read.w);
+        }
+    return index;
+}
+
 /// Selects topics of a recording and loads them as a log.
 class BagLogLoader {
 public:
     BagLogLoader(const std::filesystem::path& path, const DatasetOptions& options)
         : options_(options),
           bag_(path, options.skip_broken),
-          survey_(index_bag(bag_, options.progress)),
+          survey_(index_with_conventions(bag_, options)),
           clouds_(choose_clouds(bag_, survey_, options.lidars)),
-          poses_(choose_poses(bag_, survey_, survey_.clouds[clouds_.lidars[clouds_.main]],
-                              options.bag.poses_from)),
+          poses_(choose_poses(bag_, survey_, survey_.clouds[clouds_.lidars[clouds_.main]], options)),
           boxes_(choose_boxes(bag_, survey_)) {
         // A path that ends with a slash has no file name.
         const std::filesystem::path clean = path.lexically_normal();
@@ -51,7 +64,9 @@ public:
     /// frames. Corrects rays with the poses between frames last.
     Log load_recording() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
-        is_deskewed_ = bag_.points_frame() == "sensor at the stamp";
+        using Deskew = Conventions::Deskew;
+        const Conventions& set = options_.conventions;
+        is_deskewed_ = bag_.points_frame() == "sensor at the stamp" && set.deskew != Deskew::raw;
         add_topic_notes();
         group_clouds();
         add_lidars();
@@ -59,8 +74,11 @@ public:
         read::ScanLayout layout{.motion_compensated = is_deskewed_ && !has_poses_};
         for (std::size_t l = 0; l < log_.lidars.size(); ++l) {
             layout.lidars.push_back({.has_beams = !log_.lidars[l].sensor.beams.empty()});
-            if (lidars_[l].units.is_deskewed) layout.motion_compensated = true;
+            if (!lidars_[l].units.is_deskewed) continue;
+            layout.motion_compensated = true;
+            layout.declared_by = "guess: all points of a scan have the same time";
         }
+        read::apply_conventions(log_, layout, set);
         DatasetOptions options = options_;
         if (!log_.has_poses) options.poses_file = kNoPoses;
         LidarPoseFunction deskewed_by;  // empty: the points are not compensated, or it cannot be undone
@@ -141,7 +159,7 @@ private:
             for (const std::string& text : texts) add_note(text);
         if (has_poses_) {
             add_note(poses_.clock_note);
-            add_note(poses_.description + "; use dataset.poses_from to select another frame or topic");
+            for (UsedConvention& used : poses_.conventions) read::list_convention(log_, std::move(used));
         }
         for (const std::string& frame : survey_.frames.ambiguous_frames())
             add_note(fmt::format(
@@ -299,11 +317,18 @@ private:
             const CloudTopic& clouds = cloud_topic_of(l);
             const std::size_t n_parts =
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
-            lidars_.push_back(estimate_units(bag_, clouds, sweep_period_s / double(n_parts)));
+            lidars_.push_back(
+                estimate_units(bag_, clouds, sweep_period_s / double(n_parts), options_.conventions));
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.make_sensor();
             add_topic_note(clouds, clouds.parts_note);
-            add_topic_note(clouds, lidars_.back().units.time_note);
-            for (const std::string& text : lidars_.back().units.fields.notes) add_topic_note(clouds, text);
+            const read::PointCloudUnits& units = lidars_.back().units;
+            add_topic_note(clouds, units.time_note);
+            for (const std::string& text : units.fields.notes) add_topic_note(clouds, text);
+            if (clouds.packets.empty()) {
+                const std::string lidar = clouds_.lidars.size() == 1 ? "" : " of " + topic_name_of(clouds);
+                read::list_times(log_, units, options_.conventions, lidar);
+                read::list_scale(log_, units.fields.scale, lidar);
+            }
             if (is_deskewed_ && has_poses_ &&
                 lidars_.back().units.time_reference != read::PointTimeReference::none)
                 add_topic_note(clouds,
@@ -368,12 +393,17 @@ private:
             const double zero_s = 1e-9 * double(poses_.zero_ns - clock_offset_ns);
             for (const FrameCloud& frame : frames_)
                 frames.push_back({frame.number, frame.time_s + zero_s, 0, {}});
-            const auto poses = read::load_poses(options_.poses_file, frames, nullptr, notes);
+            Log listed;
+            const auto poses =
+                read::load_poses(options_.poses_file, frames, nullptr, options_.conventions, listed);
+            notes = listed.notes;
+            for (UsedConvention& used : listed.conventions_used) read::list_convention(log_, std::move(used));
             if (!poses)
                 fail("{}: no such file, expected poses (dataset.poses)", options_.poses_file.string());
             return *poses;
         };
-        const ClockOffset offset = compare_clocks();
+        const bool is_known = read::read_clock_offset_s(options_.conventions).has_value();
+        const ClockOffset offset = is_known ? ClockOffset{} : compare_clocks();
         std::vector<Pose> poses, other_poses;  // on the clock of the scans, and on the other clock
         Notes ignored_notes;
         try {
@@ -382,7 +412,9 @@ private:
             // The file has no poses at the times of the other clock.
         }
         try {
-            poses = read_poses(0, log_.notes);
+            Notes notes;
+            poses = read_poses(0, notes);
+            log_.notes.insert(log_.notes.end(), notes.begin(), notes.end());
         } catch (const DataError&) {
             if (other_poses.empty()) throw;
         }

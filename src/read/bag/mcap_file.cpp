@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads MCAP files (mcap.dev/spec). A record consists of a code, a length of 8 bytes, and
-// a body. Reads the records one after another without the index. Files without index,
-// summary or footer can therefore be read too.
+// a body. Reads the records one after another, so files without index, summary or footer
+// can be read too. Does not read messages of topics that are not requested, except those
+// in chunks with other topics or without an index.
 #include <algorithm>
 #include <array>
 #include <map>
@@ -18,12 +19,16 @@ namespace {
 
 constexpr std::string_view kMcapMagic("\x89MCAP0\r\n", 8);
 constexpr std::size_t kRecordHead = 9;  // number of bytes of a record's code and length
+// Bytes of a message record before the message, and of a footer.
+constexpr std::size_t kMessageHead = 22, kFooterBytes = 20;
+constexpr std::size_t kMinSkippedBytes = 4096;  // to skip a shorter message is not faster
 enum McapCode : std::uint8_t {
     kMcapFooter = 2,
     kMcapSchema = 3,
     kMcapChannel = 4,
     kMcapMessage = 5,
     kMcapChunk = 6,
+    kMcapMessageIndex = 7,
     kMcapMetadata = 12,
     kMcapDataEnd = 15
 };
@@ -83,20 +88,18 @@ public:
         schemas_.clear();
         channels_.clear();
         points_in_.clear();
+        read_summary();
         std::uint64_t at = kMcapMagic.size();
         for (;;) {
             if (file_.size() - at < kRecordHead) break;
-            const SharedBytes head = file_.read_bytes_at(at, kRecordHead);
-            codecs::ByteReader reader(head.bytes);
-            const auto code = reader.read_number<std::uint8_t>();
-            const auto length = reader.read_number<std::uint64_t>();
+            const RecordHead head = read_head(at);
             // The summary behind the data repeats other records, so it is not read.
-            if (code == kMcapDataEnd || code == kMcapFooter) return;
-            if (length > file_.size() - at - kRecordHead) break;
+            if (head.code == kMcapDataEnd || head.code == kMcapFooter) return;
+            if (head.body_bytes > file_.size() - at - kRecordHead) break;
             callbacks.done(double(at) / double(file_.size()));
             process_or_skip(file_.name(), at, skip_broken_, callbacks,
-                            [&] { process_at(code, at, length, topics, callbacks); });
-            at += kRecordHead + length;
+                            [&] { process_at(head.code, at, head.body_bytes, topics, callbacks); });
+            at += kRecordHead + head.body_bytes;
         }
         // The end of the data section is missing.
         callbacks.note(fmt::format("{}: the file is truncated at byte {} of {}; later messages are missing",
@@ -121,17 +124,80 @@ private:
     const bool skip_broken_;
     std::string points_in_;  ///< see points_frame()
     ChunkCache chunks_;
-    struct Schema {
-        std::string name, encoding;
+    std::map<std::uint16_t, std::string> schemas_;  ///< message type of each schema
+
+    struct RecordHead {
+        std::uint8_t code;
+        std::uint64_t body_bytes;
     };
-    std::map<std::uint16_t, Schema> schemas_;
-    std::map<std::uint16_t, std::size_t> channels_;  ///< topic of each channel
+    RecordHead read_head(std::uint64_t record_offset) const {
+        const SharedBytes head = file_.read_bytes_at(record_offset, kRecordHead);
+        codecs::ByteReader reader(head.bytes);
+        const auto code = reader.read_number<std::uint8_t>();
+        return {code, reader.read_number<std::uint64_t>()};
+    }
 
     /// Reads the body of the record at a byte.
     SharedBytes read_body(std::uint64_t record_offset) const {
-        const SharedBytes head = file_.read_bytes_at(record_offset, kRecordHead);
-        return file_.read_bytes_at(record_offset + kRecordHead,
-                                   codecs::ByteReader(head.bytes.substr(1)).read_number<std::uint64_t>());
+        return file_.read_bytes_at(record_offset + kRecordHead, read_head(record_offset).body_bytes);
+    }
+
+    /// Reads the channels in the summary. Ignores a missing or damaged summary.
+    void read_summary() {
+        listed_.clear();
+        const std::uint64_t tail = kRecordHead + kFooterBytes + kMcapMagic.size();
+        try {
+            const std::uint64_t footer = file_.size() - std::min(tail, file_.size());
+            if (read_head(footer).code != kMcapFooter) return;
+            const SharedBytes begin = file_.read_bytes_at(footer + kRecordHead, sizeof(std::uint64_t));
+            auto at = codecs::ByteReader(begin.bytes).read_number<std::uint64_t>();
+            while (at != 0 && at < footer) {
+                const RecordHead head = read_head(at);
+                if (head.body_bytes > footer - at) fail("the summary is damaged");
+                if (head.code == kMcapSchema) read_schema(read_body(at).bytes);
+                if (head.code == kMcapChannel) listed_.insert(parse_channel(read_body(at).bytes));
+                at += kRecordHead + head.body_bytes;
+            }
+        } catch (const DataError&) {
+            listed_.clear();
+        }
+    }
+
+    void read_schema(std::string_view body) {
+        codecs::ByteReader reader(body);
+        const auto id = reader.read_number<std::uint16_t>();
+        schemas_[id] = reader.read_string();
+    }
+
+    std::pair<std::uint16_t, BagTopic> parse_channel(std::string_view body) const {
+        codecs::ByteReader reader(body);
+        const auto id = reader.read_number<std::uint16_t>(), schema = reader.read_number<std::uint16_t>();
+        const std::string name(reader.read_string()), encoding(reader.read_string());
+        const auto type = schemas_.find(schema);
+        return {id, {name, type == schemas_.end() ? "" : type->second, encoding}};
+    }
+
+    /// Reads the index behind a chunk. Returns an empty list if the index is missing,
+    /// damaged or incomplete.
+    std::vector<IndexEntry> read_chunk_index(std::uint64_t chunk_end) const {
+        std::vector<IndexEntry> entries;
+        try {
+            for (std::uint64_t at = chunk_end; read_head(at).code == kMcapMessageIndex;) {
+                const SharedBytes body = read_body(at);
+                at += kRecordHead + body.bytes.size();
+                codecs::ByteReader reader(body.bytes);
+                const auto channel = reader.read_number<std::uint16_t>();
+                codecs::ByteReader list(reader.read_string());
+                if (list.remaining() == 0) return {};
+                while (list.remaining() > 0) {
+                    const auto log_ns = std::int64_t(list.read_number<std::uint64_t>());
+                    entries.push_back({channel, log_ns, list.read_number<std::uint64_t>()});
+                }
+            }
+        } catch (const DataError&) {
+            return {};
+        }
+        return entries;
     }
 
     /// Processes the record at a byte of the file. A chunk contains further records.
@@ -140,7 +206,17 @@ private:
         constexpr std::array kReadRecords = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk,
                                              kMcapMetadata};
         if (std::ranges::find(kReadRecords, record_code) == kReadRecords.end()) return;
-        SharedBytes body = file_.read_bytes_at(record_offset + kRecordHead, body_length);
+        const std::uint64_t body_offset = record_offset + kRecordHead;
+        if (record_code == kMcapChunk &&
+            skip_chunk(record_offset, read_chunk_index(body_offset + body_length), topics, callbacks))
+            return;
+        // Of a message that is not requested, only its channel and times are read.
+        if (record_code == kMcapMessage && body_length > kMinSkippedBytes) {
+            const SharedBytes head = file_.read_bytes_at(body_offset, kMessageHead);
+            const std::size_t topic = find_topic(parse_message(head.bytes).channel, topics);
+            if (!callbacks.topic_filter(topics.topics()[topic])) body_length = kMessageHead;
+        }
+        SharedBytes body = file_.read_bytes_at(body_offset, body_length);
         if (record_code != kMcapChunk) {
             process_record({record_code, body.bytes}, {record_offset, MessagePosition::kNoChunk}, topics,
                            callbacks);
@@ -159,18 +235,13 @@ private:
     /// Stores the schema or the channel of a record, or passes on its message.
     void process_record(const McapRecord& record, const MessagePosition& message_position, TopicTable& topics,
                         const ReadCallbacks& callbacks) {
-        codecs::ByteReader reader(record.body);
         if (record.code == kMcapSchema) {
-            const auto id = reader.read_number<std::uint16_t>();
-            const std::string name(reader.read_string());
-            schemas_[id] = {name, std::string(reader.read_string())};
+            read_schema(record.body);
         } else if (record.code == kMcapChannel) {
-            const auto id = reader.read_number<std::uint16_t>(), schema = reader.read_number<std::uint16_t>();
-            const std::string name(reader.read_string()), encoding(reader.read_string());
-            const auto schema_entry = schemas_.find(schema);
-            channels_[id] = topics.topic_index(
-                {name, schema_entry == schemas_.end() ? "" : schema_entry->second.name, encoding});
+            auto [id, topic] = parse_channel(record.body);
+            channels_[id] = topics.topic_index(std::move(topic));
         } else if (record.code == kMcapMetadata) {
+            codecs::ByteReader reader(record.body);
             // Ignores metadata records that relidar did not write.
             if (reader.read_string() != "relidar") return;
             for (codecs::ByteReader pairs(reader.read_string()); pairs.remaining() > 0;) {
@@ -179,11 +250,8 @@ private:
             }
         } else if (record.code == kMcapMessage) {
             const McapMessage message = parse_message(record.body);
-            const auto channel = channels_.find(message.channel);
-            if (channel == channels_.end())
-                fail("a message belongs to channel {}, but no earlier record describes this channel",
-                     message.channel);
-            callbacks.pass(topics, {channel->second, message.log_ns, message.bytes, message_position});
+            callbacks.pass(topics, {find_topic(message.channel, topics), message.log_ns, message.bytes,
+                                    message_position});
         }
     }
 };

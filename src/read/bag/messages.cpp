@@ -16,7 +16,7 @@ constexpr std::size_t kMostPointStep = 65536;
 constexpr double kMaxLengthError = 1e-2;  // of a quaternion, whose length should be 1
 
 struct MessageTypePurpose {
-    const char* type;
+    std::string_view type;
     MessagePurpose use;
 };
 constexpr MessageTypePurpose kTypeUses[] = {
@@ -31,6 +31,7 @@ constexpr MessageTypePurpose kTypeUses[] = {
     {"tf2_msgs/TFMessage", MessagePurpose::transforms},
     {"tf/tfMessage", MessagePurpose::transforms},
     {"nav_msgs/Odometry", MessagePurpose::pose},
+    {kPathType, MessagePurpose::pose},
     {"geometry_msgs/PoseStamped", MessagePurpose::pose},
     {"geometry_msgs/PoseWithCovarianceStamped", MessagePurpose::pose},
     {"geometry_msgs/TransformStamped", MessagePurpose::pose},
@@ -49,7 +50,8 @@ CloudMessage::CloudField read_ros_field(MessageReader& reader) {
     const auto type = reader.read_number<std::uint8_t>();
     const auto count = reader.read_number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
-    field.set_type(type, {"I1", "U1", "I2", "U2", "I4", "U4", "F4", "F8"});
+    // PCL and some drivers also write 64-bit integers, which ROS does not define.
+    field.set_type(type, {"I1", "U1", "I2", "U2", "I4", "U4", "F4", "F8", "I8", "U8"});
     return field;
 }
 
@@ -72,8 +74,9 @@ void check_layout(const CloudMessage& cloud) {
         cloud.data.size() >= row_bytes &&
         (!has_rows || (cloud.data.size() - row_bytes) / cloud.row_step >= cloud.height - 1);
     if (!is_complete)
-        fail("the data of the cloud have {} bytes, expected {} rows of {} points of {} bytes",
-             cloud.data.size(), cloud.height, cloud.width, cloud.point_step);
+        fail("the data of the cloud have {} bytes, expected {} rows of {} bytes with {} points of {} bytes",
+             cloud.data.size(), cloud.height, has_rows ? cloud.row_step : row_bytes, cloud.width,
+             cloud.point_step);
 }
 
 /// Reads a CustomMsg of the Livox drivers. A point has the fields offset_time (uint32,
@@ -200,6 +203,9 @@ CloudMessage read_ros_cloud(MessageReader& reader) {
     cloud.point_step = reader.read_number<std::uint32_t>();
     cloud.row_step = reader.read_number<std::uint32_t>();
     cloud.data = reader.read_bytes(reader.read_length(1));
+    // Without padding, row_step is not needed. Some drivers write 0 or the size of all
+    // data.
+    if (cloud.data.size() == cloud.size() * cloud.point_step) cloud.row_step = cloud.width * cloud.point_step;
     check_layout(cloud);
     return cloud;
 }
@@ -266,13 +272,16 @@ TransformListMessage read_transforms(const BagTopic& topic, std::string_view mes
     if (topic.encoding == "protobuf") return read_foxglove_tf(message_bytes);
     MessageReader reader(topic, message_bytes);
     TransformListMessage list;
-    // Three forms: a list of transforms with child frames, one such transform (also at
-    // the start of a nav_msgs/Odometry), or a pose whose message does not name the child.
-    const bool is_list = find_purpose(topic) == MessagePurpose::transforms;
+    // Four forms: a list of transforms with child frames, one such transform (also at the
+    // start of a nav_msgs/Odometry), a pose whose message does not name the child, or a
+    // path, which is a list of such poses after a header.
+    const bool is_path = topic.type == kPathType;
+    const bool has_transforms = find_purpose(topic) == MessagePurpose::transforms;
     const bool has_child =
-        is_list || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped";
-    constexpr std::size_t kLeastTransform = 72;  // bytes of a transform without its names
-    const std::size_t n = is_list ? reader.read_length(kLeastTransform) : 1;
+        has_transforms || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped";
+    if (is_path) read_header(reader);
+    constexpr std::size_t kLeastTransform = 68;  // bytes of a pose without its names
+    const std::size_t n = is_path || has_transforms ? reader.read_length(kLeastTransform) : 1;
     for (std::size_t i = 0; i < n; ++i) {
         TransformMessage transform{.header = read_header(reader), .child = {}, .parent_from_child = {}};
         if (has_child) transform.child = reader.read_string();

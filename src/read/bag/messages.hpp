@@ -170,8 +170,11 @@ CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes);
 /// @param message_bytes  message from which the cloud was read
 read::PointTable to_point_table(const CloudMessage& cloud, const SharedBytes& message_bytes);
 
-/// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage. Messages with a pose,
-/// such as nav_msgs/Odometry and geometry_msgs/PoseStamped, give one transform.
+inline constexpr std::string_view kPathType = "nav_msgs/Path";
+
+/// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage, or the poses of a
+/// nav_msgs/Path. Messages with a pose, such as nav_msgs/Odometry and
+/// geometry_msgs/PoseStamped, give one transform.
 TransformListMessage read_transforms(const BagTopic& topic, std::string_view message_bytes);
 
 /// Reads a Foxglove PointCloud message. Does not check the offsets of its fields.

@@ -2,8 +2,10 @@
 // Reads ROS 1 bags of format 2.0 (wiki.ros.org/Bags/Format/2.0). A record consists of a
 // header with named values, and data. A length of 4 bytes precedes each of these two
 // parts. Reads the records one after another, so a bag without an index can also be read.
+// With an index, skips the chunks in which no topic is requested.
 #include <map>
 #include <optional>
+#include <vector>
 
 #include "base/codecs/byte_reader.hpp"
 #include "base/fail.hpp"
@@ -17,7 +19,19 @@ namespace {
 constexpr std::string_view kRos1Magic = "#ROSBAG V2.0\n";
 constexpr std::uint32_t kLongestHeader = 1 << 20;
 constexpr std::uint64_t kLengthBytes = 4;
-enum Ros1Op : std::uint8_t { kRos1Message = 2, kRos1Chunk = 5, kRos1Connection = 7 };
+enum Ros1Op : std::uint8_t {
+    kRos1Message = 2,
+    kRos1BagHeader = 3,
+    kRos1Index = 4,
+    kRos1Chunk = 5,
+    kRos1Connection = 7
+};
+
+std::int64_t read_ros1_time(codecs::ByteReader& reader) {
+    const auto seconds = reader.read_number<std::uint32_t>(),
+               nanoseconds = reader.read_number<std::uint32_t>();
+    return std::int64_t(seconds) * 1000000000 + nanoseconds;
+}
 
 /// The named values in the header of a record.
 class Ros1Header {
@@ -65,7 +79,8 @@ public:
     }
 
     void read_messages(TopicTable& topics, const ReadCallbacks& callbacks) override {
-        connections_.clear();
+        channels_.clear();
+        read_listed();
         std::uint64_t at = kRos1Magic.size();
         while (at < file_.size()) {
             const std::optional<Ros1RecordExtent> record = read_extent(at);
@@ -104,7 +119,56 @@ private:
     RandomAccessFile file_;
     const bool skip_broken_;
     ChunkCache chunks_;
-    std::map<std::uint32_t, std::size_t> connections_;  ///< topic of each connection
+
+    /// Reads the connections that follow the last chunk. Ignores a missing or damaged
+    /// index.
+    void read_listed() {
+        listed_.clear();
+        try {
+            const auto bag = read_extent(kRos1Magic.size());
+            if (!bag || Ros1Header(bag->header.bytes).number_field<std::uint8_t>("op") != kRos1BagHeader)
+                return;
+            std::uint64_t at = Ros1Header(bag->header.bytes).number_field<std::uint64_t>("index_pos");
+            for (auto record = read_extent(at); at != 0 && record; record = read_extent(at)) {
+                const Ros1Header header(record->header.bytes);
+                if (header.number_field<std::uint8_t>("op") != kRos1Connection) return;
+                const SharedBytes data = file_.read_bytes_at(record->data_at, record->data_bytes);
+                listed_[header.number_field<std::uint32_t>("conn")] = parse_topic(header, data.bytes);
+                at = record->data_at + record->data_bytes;
+            }
+        } catch (const DataError&) {
+            listed_.clear();
+        }
+    }
+
+    /// @param data  header with the message type
+    static BagTopic parse_topic(const Ros1Header& header, std::string_view data) {
+        return {std::string(header.text_field("topic")), std::string(Ros1Header(data).text_field("type")),
+                "ros1"};
+    }
+
+    /// Reads the index behind a chunk. Returns an empty list if the index is missing,
+    /// damaged or incomplete.
+    std::vector<IndexEntry> read_chunk_index(std::uint64_t chunk_end) const {
+        std::vector<IndexEntry> entries;
+        try {
+            for (auto record = read_extent(chunk_end); record;
+                 record = read_extent(record->data_at + record->data_bytes)) {
+                const Ros1Header header(record->header.bytes);
+                if (header.number_field<std::uint8_t>("op") != kRos1Index) break;
+                if (record->data_bytes == 0) return {};
+                const auto connection = header.number_field<std::uint32_t>("conn");
+                const SharedBytes data = file_.read_bytes_at(record->data_at, record->data_bytes);
+                for (codecs::ByteReader list(data.bytes); list.remaining() > 0;) {
+                    const std::int64_t log_ns = read_ros1_time(list);
+                    entries.push_back({connection, log_ns, list.read_number<std::uint32_t>()});
+                }
+            }
+        } catch (const DataError&) {
+            return {};
+        }
+        return entries;
+    }
 
     /// Returns the header of a record and the position of its data. Returns nothing if
     /// the file ends within the record.
@@ -144,6 +208,8 @@ private:
         const Ros1Header header(record_extent.header.bytes);
         const auto op = header.number_field<std::uint8_t>("op");
         if (op == kRos1Chunk) {
+            const std::uint64_t chunk_end = record_extent.data_at + record_extent.data_bytes;
+            if (skip_chunk(record_offset, read_chunk_index(chunk_end), topics, callbacks)) return;
             const SharedBytes records = read_chunk(record_extent);
             codecs::ByteReader reader(records.bytes);
             while (reader.remaining() > 0) {
@@ -165,21 +231,12 @@ private:
         const auto op = record_header.number_field<std::uint8_t>("op");
         if (op != kRos1Connection && op != kRos1Message) return;
         const auto id = record_header.number_field<std::uint32_t>("conn");
-        // The data of a connection is a header with the message type.
         if (op == kRos1Connection) {
-            const Ros1Header connection(record_data);
-            connections_[id] = topics.topic_index({std::string(record_header.text_field("topic")),
-                                                   std::string(connection.text_field("type")), "ros1"});
+            channels_[id] = topics.topic_index(parse_topic(record_header, record_data));
             return;
         }
-        const auto connection = connections_.find(id);
-        if (connection == connections_.end())
-            fail("a message belongs to connection {}, but no earlier record describes this connection", id);
         codecs::ByteReader time(record_header.text_field("time"));
-        const auto seconds = time.read_number<std::uint32_t>(),
-                   nanoseconds = time.read_number<std::uint32_t>();
-        callbacks.pass(topics, {connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds,
-                                record_data, message_position});
+        callbacks.pass(topics, {find_topic(id, topics), read_ros1_time(time), record_data, message_position});
     }
 };
 

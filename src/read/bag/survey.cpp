@@ -195,17 +195,40 @@ private:
             survey_.frames.add_transform(transform, message.log_ns, is_static);
     }
 
-    /// Adds the poses of a message to its topic.
+    /// Adds the poses of a message to its topic. A path repeats its earlier poses, which
+    /// are replaced, because a loop closure may have moved them.
     void index_poses(const BagTopic& topic, const BagMessage& message) {
-        for (const TransformMessage& transform : read_valid(topic, message)) {
-            PoseTopic& poses = find_entry(survey_.poses, message.topic);
-            if (poses.samples.empty()) {
-                poses.parent = transform.header.frame;
-                poses.child = transform.child;
-            }
-            poses.samples.push_back(
-                {{transform.header.stamp_ns, message.log_ns}, transform.parent_from_child});
+        std::vector<TransformMessage> valid = read_valid(topic, message);
+        const bool is_path = topic.type == kPathType;
+        if (is_path) leave_out_unstamped(valid, survey_.facts[message.topic]);
+        if (valid.empty()) return;
+        PoseTopic& poses = find_entry(survey_.poses, message.topic);
+        const auto is_replaced = [&](const StampedPose& sample) {
+            return sample.stamp_ns >= valid.front().header.stamp_ns;
+        };
+        if (is_path) std::erase_if(poses.samples, is_replaced);
+        if (poses.samples.empty()) {
+            poses.parent = valid.front().header.frame;
+            poses.child = valid.front().child;
         }
+        for (const TransformMessage& transform : valid) {
+            // The newest pose of a message is as old as the message.
+            const std::int64_t age_ns = valid.back().header.stamp_ns - transform.header.stamp_ns;
+            poses.samples.push_back(
+                {{transform.header.stamp_ns, message.log_ns - age_ns}, transform.parent_from_child});
+        }
+    }
+
+    /// Removes the poses of a path that have no time stamp, or the same as the previous
+    /// pose, because their times are unknown.
+    static void leave_out_unstamped(std::vector<TransformMessage>& poses, TopicStatistics& facts) {
+        std::int64_t last_ns = 0;
+        const auto n = std::erase_if(poses, [&](const TransformMessage& pose) {
+            return pose.header.stamp_ns == std::exchange(last_ns, pose.header.stamp_ns) ||
+                   pose.header.stamp_ns == 0;
+        });
+        if (n > 0 && facts.n_left_out == 0) facts.left_out = "has no time stamp of its own";
+        facts.n_left_out += n;
     }
 
     void index_fix(const BagTopic& topic, const BagMessage& message) {

@@ -102,6 +102,8 @@ public:
     /// and its ancestor frame. Returns null if no transform moves.
     const std::vector<StampedPose>* densest_samples(const std::string& ancestor_frame,
                                                     const std::string& child_frame) const;
+    /// Returns the frames that move relative to their parents.
+    std::vector<std::string> moving_frames() const;
     /// Returns the frames that have several parents in the bag. This class uses the
     /// parent with the most transforms.
     std::vector<std::string> ambiguous_frames() const;

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <set>
 
 #include <fmt/format.h>
 
@@ -14,10 +13,9 @@ namespace {
 constexpr float kSameRange = 1e-5f;
 // The maximum range of a sensor is assumed to be a multiple of this length.
 constexpr float kRangeUnit_m = 0.5f;
-// Limits of the share of points at the maximum range.
-constexpr double kLeastShare = 0.005, kMostShare = 0.95;
-constexpr std::size_t kMinFarReturns = 64;  // minimum number of returns that have the largest range
-constexpr std::size_t kFewestBeams = 2;     // minimum number of beams with a return at the largest range
+// Minimum number of points at the maximum range, and their minimum share.
+constexpr std::size_t kMinFarReturns = 64;
+constexpr double kLeastShare = 0.005;
 
 float round_range(float range_m) { return kRangeUnit_m * std::round(range_m / kRangeUnit_m); }
 bool are_ranges_equal(float first_range_m, float second_range_m) {
@@ -26,16 +24,14 @@ bool are_ranges_equal(float first_range_m, float second_range_m) {
 
 /// Returns of a LiDAR at its largest range.
 struct FarReturns {
-    float range_m = 0.0f;           ///< largest range of the log
-    std::size_t n = 0;              ///< returns with this range
-    std::size_t n_all = 0;          ///< returns with any range
-    std::set<std::uint16_t> beams;  ///< beams of the returns with this range
+    float range_m = 0.0f;   ///< largest range of the log
+    std::size_t n = 0;      ///< returns with this range
+    std::size_t n_all = 0;  ///< returns with any range
 
     /// Returns true if these returns stand for dropped rays.
     bool are_markers() const {
-        const double share = double(n) / double(std::max<std::size_t>(n_all, 1));
-        return n >= kMinFarReturns && beams.size() >= kFewestBeams && share >= kLeastShare &&
-               share <= kMostShare && are_ranges_equal(range_m, round_range(range_m));
+        return n >= kMinFarReturns && double(n) >= kLeastShare * double(n_all) &&
+               are_ranges_equal(range_m, round_range(range_m));
     }
 };
 
@@ -49,9 +45,7 @@ FarReturns find_far_returns(const Log& log, int lidar_index) {
         if (frame.lidar != lidar_index) continue;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (frame.scan.range_m[i] > 0.0f) ++far.n_all;
-            if (!are_ranges_equal(frame.scan.range_m[i], far.range_m)) continue;
-            ++far.n;
-            far.beams.insert(frame.scan.rays.channel[i]);
+            if (are_ranges_equal(frame.scan.range_m[i], far.range_m)) ++far.n;
         }
     }
     return far;

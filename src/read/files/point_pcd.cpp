@@ -11,7 +11,7 @@
 namespace relidar::read {
 namespace {
 
-constexpr std::size_t kMostPcdFields = 256, kMostBytes = 65536;  // limits per point
+constexpr std::size_t kMostBytes = 65536;  // of a point
 // Three bytes of LZF data decompress to at most this many bytes: length 7 + 255 + 2.
 constexpr std::size_t kMostExpansion = 264;
 constexpr std::size_t kMostPadding = 64;  // maximum size of the padding in a point, in bytes
@@ -75,9 +75,9 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
 std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::string& where) {
     const std::size_t n = header.names.size();
     const bool are_equal = header.sizes.size() == n && header.types.size() == n && header.counts.size() == n;
-    if (n == 0 || n > kMostPcdFields || !are_equal)
+    if (n == 0 || n > kMostFields || !are_equal)
         fail("{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same number of each, 1 to {}",
-             where, n, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields);
+             where, n, header.sizes.size(), header.types.size(), header.counts.size(), kMostFields);
     std::vector<PointField> fields;
     double point_bytes = 0.0;
     for (std::size_t i = 0; i < n; ++i) {

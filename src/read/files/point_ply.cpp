@@ -8,8 +8,6 @@
 namespace relidar::read {
 namespace {
 
-constexpr std::size_t kMostPlyFields = 1024;
-
 /// Converts a property of a PLY header to a field. Each number type has two names, for
 /// example float and float32.
 PointField make_ply_field(std::string_view type_name, std::string_view name, const std::string& where) {
@@ -54,8 +52,8 @@ void parse_ply_line(std::string_view line, PlyHeader& header, const std::string&
             fail("{}: found '{}', expected 'element vertex N' as the first element", where, quote(line));
         if (header.n_elements == 1) header.n = std::size_t(*n);
     } else if (keyword == "property" && header.n_elements == 1) {
-        if (header.fields.size() >= kMostPlyFields)
-            fail("{}: found too many properties of a vertex, expected at most {}", where, kMostPlyFields);
+        if (header.fields.size() >= kMostFields)
+            fail("{}: found too many properties of a vertex, expected at most {}", where, kMostFields);
         header.fields.push_back(make_ply_field(second, third, where));
     }
 }

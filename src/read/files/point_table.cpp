@@ -93,8 +93,8 @@ ScalarType field_scalar_type(const PointField& field, const std::string& where) 
 /// of a point is the laser number of an HDL-32E, 0 to 31. In float32 points, this byte
 /// has the sign and exponent of a number, so it is 0, or at least 32 for usual numbers.
 bool is_nclt_file(std::string_view bytes) {
-    constexpr std::size_t kRecordBytes = 8, kLaserAt = 7, kMaxLasers = 32, kMaxTestedRecords = 1000;
-    const std::size_t n = std::min(bytes.size() / kRecordBytes, kMaxTestedRecords);
+    constexpr std::size_t kRecordBytes = 8, kLaserAt = 7, kMaxLasers = 32;
+    const std::size_t n = bytes.size() / kRecordBytes;
     std::size_t n_not_zero = 0;
     for (std::size_t i = 0; i < n; ++i) {
         const auto laser = static_cast<unsigned char>(bytes[i * kRecordBytes + kLaserAt]);

@@ -141,6 +141,8 @@ enum class PointMemoryLayout {
     by_field   ///< all values of the first field, followed by all values of the second field, and so on
 };
 
+/// Maximum number of fields of a point. A larger number is damage.
+inline constexpr std::size_t kMostFields = 1024;
 /// Checks the number of points of a file.
 /// @throws DataError if there are no points, or too many for one scan
 void check_point_count(std::size_t n_points, const std::string& where);

@@ -11,7 +11,6 @@
 namespace relidar::read {
 namespace {
 
-constexpr std::size_t kMostTextFields = 1024;
 constexpr std::size_t kMostValues = 1 << 20;  // of a field in an element of a numpy array
 
 std::vector<PointField> named_fields(const std::vector<std::string>& names) {
@@ -90,8 +89,8 @@ PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& c
         fields = parse_header_names(first_line());
         skip_line();
     }
-    if (fields.size() > kMostTextFields)
-        fail("{}: found {} fields, expected at most {}", where, fields.size(), kMostTextFields);
+    if (fields.size() > kMostFields)
+        fail("{}: found {} fields, expected at most {}", where, fields.size(), kMostFields);
     const auto n_points = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
     if (double(n_points) < n_announced)
         fail("{}: found {} points, expected {} (its first line)", where, n_points, n_announced);

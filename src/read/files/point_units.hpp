@@ -27,13 +27,17 @@ struct PointFileUnits {
     /// Intensities are divided by this value. If not set, values above 1 are an error.
     std::optional<double> intensity_max;
     double time_unit_s = 1.0;
-    bool absolute_times = false;  ///< true: point times use the clock of the log; false: 0 is the frame
+    bool absolute_times = false;   ///< true: point times use the clock of the log; false: 0 is the frame
+    bool starts_at_frame = false;  ///< true: the first point of a scan has the time of its frame
+    /// True if sequence.json does not have this value. If times cannot have the default,
+    /// fill_units() estimates the value.
+    bool is_unit_open = false, is_reference_open = false;
     /// Field with the intensities. If empty, the first field with a usual name.
     std::string intensity_field = {};
     /// Position that marks a ray without a return, as NaN does.
     std::optional<glm::vec3> no_return = {};
     UnnumberedReturns returns = {};
-    bool ignore_times = false;      ///< true if the times of the points have lost their precision
+    bool ignore_times = false;      ///< true if the times of the points are not usable
     bool skip_wrong_times = false;  ///< true: skips points with wrong times; false: throws
     double time_zero = 0.0;         ///< value of the point time at the time 0 s, in the unit of the file
 };

@@ -13,6 +13,7 @@
 #include "read/files/scan_npz.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/point_times.hpp"
+#include "read/scans/pose_conventions.hpp"
 
 namespace relidar::read {
 namespace {
@@ -21,16 +22,14 @@ namespace {
 constexpr double kMinDuration = 0.05, kMaxDuration = 3.0;
 // Maximum difference between the time of a point and the stamp of its cloud.
 constexpr double kBesideStamp_s = 2.0;
-constexpr double kLeastSweep_s = 0.1;
-constexpr double kMinCloudShare = 0.8;  // minimum share of the clouds that must agree
+constexpr double kMinCloudShare = 0.8;  // minimum share of clouds, or of times, that must agree
 // If all points of a cloud have the same time and it can change only in steps above this
 // value, the time is rounded: 32-bit floats of seconds since 1970 have steps of 128.
 constexpr double kLargestStep = 16.0;
 
 constexpr const char* kReferenceTexts[] = {  // by PointTimeReference
-    "", "the times are relative to the stamp of the cloud",
-    "the times use the same clock as the stamps of the clouds",
-    "the times use the clock of the sensor, so the first time in a cloud is set to its stamp"};
+    "not used", "0 at the stamp of the scan", "on the clock of the stamps",
+    "on an unknown clock, so the first point gets the stamp"};
 
 struct TimeUnit {
     const char* name;
@@ -141,7 +140,8 @@ const TimeUnit* find_time_unit(double span, double cloud_interval_s) {
 /// the reference is `none`. Does not set the fields.
 /// @param signed_ranges  the same times if large unsigned numbers are negative offsets
 PointCloudUnits estimate_times(const std::vector<TimeRange>& ranges,
-                               const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
+                               const std::vector<TimeRange>& signed_ranges, double cloud_interval_s,
+                               const Conventions& set) {
     PointCloudUnits units;
     if (ranges.empty()) return units;
     std::vector<double> spans;  // [clouds]
@@ -157,45 +157,47 @@ PointCloudUnits estimate_times(const std::vector<TimeRange>& ranges,
     }
     // After motion compensation, all points of a cloud can have the same time.
     units.is_deskewed = std::ranges::max(spans) == 0.0;
-    if (units.is_deskewed) {
-        units.time_note =
-            "all points of a cloud have the same time, so each cloud is assumed to be motion-compensated to "
-            "its stamp";
-        return units;
-    }
-    const TimeUnit* unit = find_time_unit(usual_span, cloud_interval_s);
+    if (units.is_deskewed) return units;
+    const TimeUnit* unit = set.time_unit == Conventions::TimeUnit::automatic
+                               ? find_time_unit(usual_span, cloud_interval_s)
+                               : &kTimeUnits[std::size_t(set.time_unit) - 1];
     if (!unit) {
         units.time_note = fmt::format(
             "the times of points are ignored, because no unit of time fits them: the points of a cloud span "
-            "{:.4g} units, but clouds are {:.3g} s apart",
+            "{:.4g} units, but clouds are {:.3g} s apart; set conventions.time_unit",
             usual_span, cloud_interval_s);
         return units;
     }
     const double duration_s = usual_span * unit->seconds;
-    const double sweep_s = std::max({duration_s, cloud_interval_s, kLeastSweep_s});
+    const double sweep_s = std::max({duration_s, cloud_interval_s, kUsualPeriod_s});
     units.time_unit_s = unit->seconds;
     units.time_reference = find_time_reference(ranges, unit->seconds, sweep_s);
     // Without signs, negative offsets look like the large times of a clock.
     if (units.time_reference == PointTimeReference::sensor_clock &&
         find_time_reference(signed_ranges, unit->seconds, sweep_s) == PointTimeReference::stamp)
         units.time_reference = PointTimeReference::stamp;
-    units.time_note =
-        fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms", unit->name,
-                    kReferenceTexts[std::size_t(units.time_reference)], 1e3 * usual_span * unit->seconds);
+    if (set.time_zero != Conventions::TimeZero::automatic)
+        units.time_reference = PointTimeReference(set.time_zero);
+    units.time_reason = fmt::format("guess: a scan then lasts {:.1f} ms", 1e3 * usual_span * unit->seconds);
     return units;
 }
 
 namespace fs = std::filesystem;
 
 /// Reads the points of a few scans. Leaves out files of rays, which have no points.
+/// @param frames  set to the index of the file of each table
 std::vector<PointTable> sample_tables(const std::vector<fs::path>& scan_files,
-                                      const std::vector<std::string>& column_names) {
-    std::vector<fs::path> with_points = scan_files;
+                                      const std::vector<std::string>& column_names,
+                                      std::vector<std::size_t>& frames) {
     const bool are_npz_rays = !has_npz_points(scan_files);
-    if (are_npz_rays) std::erase_if(with_points, [](const fs::path& file) { return !is_point_file(file); });
+    std::vector<std::size_t> with_points;
+    for (std::size_t i = 0; i < scan_files.size(); ++i)
+        if (!are_npz_rays || is_point_file(scan_files[i])) with_points.push_back(i);
     std::vector<PointTable> samples;
-    read_samples(with_points.size(),
-                 [&](std::size_t i) { samples.push_back(read_point_file(with_points[i], column_names)); });
+    read_samples(with_points.size(), [&](std::size_t k) {
+        samples.push_back(read_point_file(scan_files[with_points[k]], column_names));
+        frames.push_back(with_points[k]);
+    });
     return samples;
 }
 
@@ -215,16 +217,48 @@ std::vector<PointTable> sample_images(std::vector<fs::path> files) {
     return samples;
 }
 
+/// Returns true if most times of the samples can be those of their scans, with the unit
+/// and the reference in `units`. Some points can have wrong times.
+bool are_times_plausible(const PointFileUnits& units, const std::vector<PointTable>& samples,
+                         const std::vector<double>& frame_times_s) {
+    std::size_t n_times = 0, n_plausible = 0;
+    for (std::size_t i = 0; i < samples.size(); ++i)
+        if (const PointFieldView* times = samples[i].find_field(PointAttribute::time))
+            times->for_each(samples[i].n, [&](std::size_t, double time) {
+                const double offset_s =
+                    time * units.time_unit_s - (units.absolute_times ? frame_times_s[i] : 0.0);
+                ++n_times;
+                n_plausible += std::abs(offset_s) <= kMaxTimeOffset_s;
+            });
+    return double(n_plausible) >= kMinCloudShare * double(n_times);
+}
+
+/// Estimates the unit and the reference of point times that cannot have the default unit.
+/// If none fits, the times are ignored.
+void set_time_units(PointFileUnits& units, const PointCloudUnits& estimate, Notes& notes) {
+    if (estimate.time_reference == PointTimeReference::none) {
+        notes.push_back(estimate.is_deskewed
+                            ? "all points of a scan have the same time, so the times are ignored"
+                            : estimate.time_note);
+        units.ignore_times = true;
+        return;
+    }
+    units.time_unit_s = estimate.time_unit_s;
+    units.skip_wrong_times = true;
+    if (!units.is_reference_open) return;
+    units.absolute_times = estimate.time_reference != PointTimeReference::stamp;
+    units.starts_at_frame = estimate.time_reference == PointTimeReference::sensor_clock;
+}
+
 /// Makes the reader ignore the times, with a note, if those of a sample have lost their
 /// precision: neighbouring values are too distant to order the points of a sweep.
 void drop_coarse_times(PointFileUnits& units, const std::vector<PointTable>& samples, Notes& notes) {
-    constexpr double kTypicalSweep_s = 0.1;
     for (const PointTable& cloud : samples) {
         const auto range = find_time_range(cloud);
         if (!range) continue;
         const auto [first, last] = *range;
         const double resolution = time_resolution(cloud);
-        const double span = last > first ? last - first : kTypicalSweep_s / units.time_unit_s;
+        const double span = last > first ? last - first : kUsualPeriod_s / units.time_unit_s;
         if (!is_coarse_time(resolution, span)) continue;
         units.ignore_times = true;
         notes.push_back(describe_coarse(last, resolution));
@@ -235,7 +269,8 @@ void drop_coarse_times(PointFileUnits& units, const std::vector<PointTable>& sam
 }  // namespace
 
 PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
-                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s) {
+                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s,
+                                     const Conventions& set) {
     // Times of counters that overflow within a cloud become continuous.
     std::vector<PointTable> continuous_clouds = clouds;
     for (PointTable& cloud : continuous_clouds) unwrap_times(cloud, /*are_offsets=*/false);
@@ -244,32 +279,89 @@ PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
     std::vector<PointTable> signed_clouds = continuous_clouds;
     std::ranges::for_each(signed_clouds, restore_signs);
 
-    PointCloudUnits units = estimate_times(list_time_ranges(continuous_clouds, cloud_stamps_s),
-                                           list_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
+    PointCloudUnits units =
+        estimate_times(list_time_ranges(continuous_clouds, cloud_stamps_s),
+                       list_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s, set);
     units.fields = interpret_fields(continuous_clouds);
-    if (!units.fields.scale.note.empty()) units.fields.notes.push_back(units.fields.scale.note);
     return units;
 }
 
-void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files, Notes& notes) {
-    std::vector<PointTable> samples = sample_tables(scan_files, units.columns);
+void list_times(Log& log, const PointCloudUnits& units, const Conventions& set, const std::string& lidar) {
+    if (units.time_reason.empty()) return;
+    const auto unit = std::ranges::find(kTimeUnits, units.time_unit_s, &TimeUnit::seconds);
+    list_convention(log,
+                    {"unit of point times" + lidar, unit->name,
+                     set.time_unit != Conventions::TimeUnit::automatic ? kFromSetting : units.time_reason,
+                     "conventions.time_unit"});
+    list_convention(log,
+                    {"zero of point times" + lidar, kReferenceTexts[std::size_t(units.time_reference)],
+                     set.time_zero != Conventions::TimeZero::automatic ? kFromSetting : units.time_reason,
+                     "conventions.time_zero"});
+}
+
+void list_scale(Log& log, const IntensityScale& scale, const std::string& lidar) {
+    list_convention(log, {"intensity" + lidar, fmt::format("0 to {:.4g}", scale.max), scale.reason,
+                          "conventions.intensity_max"});
+    if (!scale.is_sure && scale.max > 1.0)
+        log.notes.push_back(
+            fmt::format("the intensities{} are divided by {:.4g}, but they could also be "
+                        "percentages; set conventions.intensity_max",
+                        lidar, scale.max));
+}
+
+void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files,
+                const std::string& declared_by, const Conventions& set, Log& log) {
+    std::vector<std::size_t> frames;  // [samples]
+    std::vector<PointTable> samples = sample_tables(scan_files, units.columns, frames);
+    std::vector<double> frame_times_s;  // [samples]
+    for (const std::size_t frame : frames) frame_times_s.push_back(log.frames[frame].time_s);
+    if (set.time_unit != Conventions::TimeUnit::automatic) {
+        units.time_unit_s = kTimeUnits[std::size_t(set.time_unit) - 1].seconds;
+        units.is_unit_open = false;
+    }
+    if (set.time_zero != Conventions::TimeZero::automatic) {
+        units.absolute_times = set.time_zero != Conventions::TimeZero::stamp;
+        units.starts_at_frame = set.time_zero == Conventions::TimeZero::first_point;
+        units.is_reference_open = false;
+    }
+    std::string time_reason = units.is_unit_open ? "usual" : declared_by;
+    if (units.is_unit_open && !are_times_plausible(units, samples, frame_times_s)) {
+        const PointCloudUnits estimate =
+            estimate_cloud_units(samples, frame_times_s, estimate_sweep_s(log, 0), set);
+        time_reason = estimate.time_reason;
+        set_time_units(units, estimate, log.notes);
+    }
     for (PointTable& cloud : samples) unwrap_times(cloud, /*are_offsets=*/!units.absolute_times);
     PointFieldSemantics fields = interpret_fields(samples);
     if (samples.empty()) {  // The log has range images instead of points.
         samples = sample_images(scan_files);
         fields.scale = estimate_scale(list_values(samples, "intensity"));
     }
-    drop_coarse_times(units, samples, notes);
+    if (!units.ignore_times) drop_coarse_times(units, samples, log.notes);
+    if (!units.ignore_times &&
+        std::ranges::any_of(samples, [](const PointTable& t) { return find_time_range(t).has_value(); })) {
+        const PointTimeReference reference = units.starts_at_frame  ? PointTimeReference::sensor_clock
+                                             : units.absolute_times ? PointTimeReference::epoch
+                                                                    : PointTimeReference::stamp;
+        list_times(log,
+                   {.time_reference = reference,
+                    .time_unit_s = units.time_unit_s,
+                    .fields = {},
+                    .time_note = {},
+                    .time_reason = time_reason},
+                   set, "");
+    }
     units.intensity_field = fields.intensity_field;
     units.no_return = fields.no_return;
     units.returns = fields.returns;
     // If the scale is not sure, intensities above 1 are an error.
-    if (!units.intensity_max && fields.scale.is_sure && fields.scale.max > 1.0) {
-        units.intensity_max = fields.scale.max;
-        notes.push_back(fields.scale.note +
-                        "; set the key \"intensity_max\" in sequence.json to use another scale");
-    }
-    notes.insert(notes.end(), fields.notes.begin(), fields.notes.end());
+    if (units.intensity_max) fields.scale = {*units.intensity_max, true, declared_by};
+    else if (fields.scale.is_sure && fields.scale.max > 1.0) units.intensity_max = fields.scale.max;
+    else fields.scale.max = 1.0;
+    if (set.intensity_max > 0.0)
+        fields.scale = {*(units.intensity_max = set.intensity_max), true, kFromSetting};
+    list_scale(log, fields.scale, "");
+    log.notes.insert(log.notes.end(), fields.notes.begin(), fields.notes.end());
 }
 
 }  // namespace relidar::read

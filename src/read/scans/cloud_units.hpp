@@ -6,6 +6,8 @@
 #include <string>
 #include <vector>
 
+#include <relidar/log/log.hpp>
+
 #include "read/scans/point_meaning.hpp"
 
 namespace relidar::read {
@@ -25,13 +27,22 @@ struct PointCloudUnits {
     /// True if all points of a cloud were motion-compensated to the same time.
     bool is_deskewed = false;
     PointFieldSemantics fields;
-    std::string time_note;  ///< text about the point times for the user, stored in the notes of the log
+    std::string time_note;    ///< text for the user about times that are not used
+    std::string time_reason;  ///< why the times are read with this unit and zero
 };
 
 /// Estimates unit and reference of the point times, and which fields are read.
 /// @param clouds  sample clouds of one topic
 /// @param cloud_stamps_s  [clouds] time stamp of each cloud in seconds
+/// @param set  what the user knows
 PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
-                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s);
+                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s,
+                                     const Conventions& set = {});
+
+/// Lists the conventions of the times of points.
+/// @param lidar  empty, or the name of one of several LiDARs
+void list_times(Log& log, const PointCloudUnits& units, const Conventions& set, const std::string& lidar);
+/// Lists the scale of the intensities. Adds a note if it is not sure.
+void list_scale(Log& log, const IntensityScale& scale, const std::string& lidar);
 
 }  // namespace relidar::read

@@ -14,6 +14,7 @@
 #include "base/parallel.hpp"
 #include "read/scans/lattice_fit.hpp"
 #include "read/scans/lattice_ticks.hpp"
+#include "read/scans/robust_line.hpp"
 
 namespace relidar::read {
 namespace {
@@ -79,7 +80,6 @@ double spread_without_motion(const LatticeFitter& fitter) {
 /// direction, and separates them as much as other points of the ring.
 double neighbour_spread(const std::vector<CompensatedSweep>& sweeps) {
     constexpr double kMaxStep_rad = 0.02, kMaxChange = 0.02;  // of azimuths, and of distances
-    constexpr double kSigma = 1.4826 / 1.4142;                // of a point, from the median of differences
     struct RingPoint {
         std::uint16_t ring;
         double azimuth_rad, axis_m, slope;
@@ -101,7 +101,8 @@ double neighbour_spread(const std::vector<CompensatedSweep>& sweeps) {
                 differences.push_back(std::abs(point.slope - last.slope));
         }
     }
-    return differences.empty() ? 0.0 : kSigma * compute_median(std::move(differences));
+    // Two points of equal errors differ by sqrt(2) times their standard deviation.
+    return differences.empty() ? 0.0 : kMadToSigma / std::sqrt(2.0) * compute_median(std::move(differences));
 }
 
 /// Fits cones and motions for each hypothesis of the turn. The head is at one of kSeams

@@ -13,6 +13,8 @@
 #include <numeric>
 #include <span>
 
+#include <Eigen/Dense>
+
 #include "base/fail.hpp"
 #include "base/geometry/circular_gap.hpp"
 #include "base/median.hpp"
@@ -32,13 +34,16 @@ constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
 // Maximum difference between the 90th and the 10th percentile of the elevations of a
-// ring, for the farther half of its points.
+// ring, for the farther half of its points. KITTI has 0.1 degrees, or 1.1 degrees if it
+// is motion-compensated at 27 m/s.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
 // In a narrower range without points, the vehicle may block the view.
 constexpr double kLeastGap_rad = kPi / 3.0;
 // Relative difference between the period of rotation and the time between scans.
 constexpr double kOtherPeriod = 0.2;
 constexpr std::size_t kMinFarPoints = 25;  // of a ring
+// Another frame explains the elevations if it reduces their spread to this share.
+constexpr double kMaxSpreadShare = 0.25;
 
 /// Returns a quantile. Reorders the values.
 double find_quantile(std::vector<double>& values, double fraction) {
@@ -98,6 +103,67 @@ double ring_spread(const LidarPoints& scan) {
         spreads.push_back(far[far.size() * 9 / 10] - far[far.size() / 10]);
     }
     return spreads.empty() ? 0.0 : compute_median(std::move(spreads));
+}
+
+/// Centre and axis of a head in the frame of the points.
+struct HeadPose {
+    glm::dvec3 centre_m{0.0};
+    glm::dvec2 tilt{0.0};  ///< x and y of the axis (x, y, 1)
+
+    /// Returns a point relative to the head. The tilt is small.
+    glm::dvec3 to_head(const glm::dvec3& point_m) const {
+        const glm::dvec3 d = point_m - centre_m;
+        return {d.x, d.y, d.z + tilt.x * d.x + tilt.y * d.y};
+    }
+};
+
+/// Fits the head for which all points of a ring have the same slope z / hypot(x, y), by
+/// Gauss-Newton steps.
+HeadPose fit_head(const LidarPoints& scan) {
+    constexpr int kSteps = 20;
+    constexpr double kMinDistance_m = 1.0;  // from the axis
+    // derivatives of a slope by centre and tilt, and the slope
+    using Row = Eigen::Matrix<double, 6, 1>;
+    HeadPose head;
+    for (int step = 0; step < kSteps; ++step) {
+        Eigen::Matrix<double, 6, 6> normal = Eigen::Matrix<double, 6, 6>::Zero();
+        std::vector<std::pair<Row, double>> sums(std::size_t(std::ranges::max(scan.ring)) + 1,
+                                                 {Row::Zero(), 0.0});  // [rings] rows and their number
+        for (std::size_t i = 0; i < scan.size(); ++i) {
+            const glm::dvec3 p = head.to_head(glm::dvec3(scan.position_m[i]));
+            const double rho = std::hypot(p.x, p.y), slope = p.z / rho;
+            if (rho < kMinDistance_m) continue;
+            Row row;
+            row << (slope * p.x / rho - head.tilt.x) / rho, (slope * p.y / rho - head.tilt.y) / rho,
+                -1.0 / rho, p.x / rho, p.y / rho, slope;
+            normal += row * row.transpose();
+            sums[scan.ring[i]].first += row;
+            sums[scan.ring[i]].second += 1.0;
+        }
+        // Removes the mean slopes of the rings, which are unknown.
+        for (const auto& [sum, n] : sums) normal -= sum * sum.transpose() / std::max(n, 1.0);
+        const Eigen::Matrix<double, 5, 1> change =
+            normal.topLeftCorner<5, 5>().ldlt().solve(-normal.topRightCorner<5, 1>());
+        head.centre_m += glm::dvec3(change[0], change[1], change[2]);
+        head.tilt += glm::dvec2(change[3], change[4]);
+    }
+    return head;
+}
+
+/// Returns a text about the position of the sensor if the points fit a spinning sensor in
+/// another frame, such as that of the vehicle. Otherwise, returns an empty text.
+std::string describe_head(const LidarPoints& scan) {
+    const HeadPose head = fit_head(scan);
+    LidarPoints moved = scan;
+    for (glm::vec3& p : moved.position_m) p = glm::vec3(head.to_head(glm::dvec3(p)));
+    if (!(ring_spread(moved) < kMaxSpreadShare * ring_spread(scan))) return "";
+    const auto round_m = [](double value_m) { return std::round(100.0 * value_m) / 100.0 + 0.0; };  // not -0
+    return fmt::format(
+        "; the points fit a sensor whose centre is at ({:.2f}, {:.2f}, {:.2f}) m and whose axis is tilted by "
+        "{:.1f} degrees: subtract this position from all points, and set it as the translation of "
+        "\"vehicle_from_sensor\" in sequence.json",
+        round_m(head.centre_m.x), round_m(head.centre_m.y), round_m(head.centre_m.z),
+        std::atan(glm::length(head.tilt)) * 180.0 / kPi);
 }
 
 /// Returns the widest azimuth range in which no scan has a point.
@@ -280,8 +346,8 @@ std::string why_not_spinning(const std::vector<LidarPoints>& scans, const Spinni
     if (spread_rad > kMostSpread_rad)
         return fmt::format(
             "the points of one ring differ in elevation by {:.1f} degrees; the usual causes are merged "
-            "clouds of several LiDARs, wrong rings, or another frame",
-            spread_rad * 180.0 / kPi);
+            "clouds of several LiDARs, wrong rings, or another frame{}",
+            spread_rad * 180.0 / kPi, describe_head(*fullest));
     // A gap alone can be a limited field of view. It is an error only if the point
     // times also show another period than one revolution per scan.
     const double gap_rad = widest_gap_rad(scans);

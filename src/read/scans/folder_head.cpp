@@ -304,6 +304,8 @@ PointFileUnits read_units(const JsonField& root) {
     const std::map<std::string, double> seconds = {{"s", 1.0}, {"ms", 1e-3}, {"us", 1e-6}, {"ns", 1e-9}};
     if (root.has_member("time_unit"))
         units.time_unit_s = seconds.at(read_word(root.at("time_unit"), {"s", "ms", "us", "ns"}));
+    units.is_unit_open = !root.has_member("time_unit");
+    units.is_reference_open = !root.has_member("point_times");
     units.absolute_times = root.has_member("point_times") &&
                            read_word(root.at("point_times"), {"offsets", "absolute"}) == "absolute";
     return units;

@@ -64,10 +64,11 @@ FolderHead read_header(const std::filesystem::path& folder, double default_max_r
 /// meanings of the numbers are tested, such as another order of the quaternion.
 /// @param read_scan_pairs_for_pose_check  reads pairs of scans that confirm a meaning;
 /// may be null
+/// @param log  gets notes, and the conventions of the poses
 std::optional<std::vector<Pose>> load_poses(const std::filesystem::path& file,
                                             const std::vector<LogFrame>& frames,
                                             const ScanPairReader& read_scan_pairs_for_pose_check,
-                                            Notes& notes);
+                                            const Conventions& set, Log& log);
 
 /// Reads boxes.json, if it exists. Ignores labels outside the time of the loaded frames.
 /// @param all_frames  all frames of the log, because labels can refer to frames by number
@@ -77,7 +78,7 @@ std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
 
 /// Reads the scans of all frames from files with read_scans(). Estimates missing units.
 /// @param scan_files  [frames] scan file of each frame
-void read_scan_files(Log& log, const ScanLayout& layout, PointFileUnits units,
+void read_scan_files(Log& log, ScanLayout layout, PointFileUnits units,
                      const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
 
 }  // namespace relidar::read

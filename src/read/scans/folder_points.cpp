@@ -19,20 +19,15 @@ namespace relidar::read {
 namespace {
 
 constexpr float kFarthestCoordinate_m = 1e6f;
-// Two points are returns of one ray if 1 - cos(angle between their directions) is below
-// this (1.4 mrad). The limit is not 0, because file coordinates are rounded.
-constexpr float kOneRay = 1e-6f;
 
 /// Returns true if the values of a field are the distances of the points from the sensor,
 /// in any unit. A field with the name of a range can also be the distance from a plane.
 /// @param is_no_return  points without a return, which are ignored
 bool are_distances(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
                    const std::vector<char>& is_no_return) {
-    constexpr std::size_t kMostCompared = 2000;
     constexpr double kRangeTolerance = 0.05, kMinMatchShare = 0.9;
     std::vector<double> ratios;  // of the field to the distance; all equal if the field is a distance
-    const std::size_t step = std::max<std::size_t>(1, points.size() / kMostCompared);
-    for (std::size_t i = 0; i < points.size(); i += step) {
+    for (std::size_t i = 0; i < points.size(); ++i) {
         const double distance_m = glm::length(glm::dvec3(points[i]));
         if (!is_no_return[i] && std::isfinite(distance_m) && distance_m > 0.0)
             ratios.push_back(ranges[i] / distance_m);
@@ -156,7 +151,7 @@ void set_return_numbers(LidarPoints& points, const std::vector<double>& return_t
         const std::size_t point = order[k], before = order[k - 1];
         const glm::vec3 direction = glm::normalize(points.position_m[point]);
         const glm::vec3 direction_before = glm::normalize(points.position_m[before]);
-        const bool is_on_same_ray = 1.0f - glm::dot(direction, direction_before) < kOneRay;
+        const bool is_on_same_ray = glm::distance(direction, direction_before) < float(kOneRay_rad);
         if (ring_time(point) == ring_time(before) && is_on_same_ray)
             points.return_number[point] =
                 std::uint8_t(std::min(points.return_number[before] + 1, int(kMostReturns)));
@@ -181,14 +176,15 @@ void check_positions(const PointTable& table, const SelectedPoints& selected, co
     }
 }
 
-/// Sets the intensity of each point, or 0 if the table has none.
+/// Sets the intensity of each point, or 0 if the table has none or it is not finite.
 void convert_intensities(LidarPoints& points, const FieldConverter& convert, const PointTable& table,
                          const PointFileUnits& units) {
     const auto* intensity = table.find_field(units.intensity_field);
     if (!intensity) intensity = table.find_field(PointAttribute::intensity);
     if (!intensity) points.intensity.assign(points.size(), 0.0f);
-    convert.convert_field(points.intensity, intensity,
-                          [&](double value) { return scale_intensity(value, units, ""); });
+    convert.convert_field(points.intensity, intensity, [&](double value) {
+        return std::isfinite(value) ? scale_intensity(value, units, "") : 0.0f;
+    });
 }
 
 /// Converts return numbers of a file, which begin with 0 or 1, to numbers from 1. The

@@ -26,7 +26,9 @@ LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, 
 
 /// Estimates the units that are not known, from the points of some scans. If several
 /// intensity scales are possible, sets none. Intensities above 1 are then an error.
-void fill_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files, Notes& notes);
+/// @param declared_by  what says the known units
+void fill_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files,
+                const std::string& declared_by, const Conventions& set, Log& log);
 
 /// Scan of each frame, from files or messages. Several threads can call the functions.
 class ScanProvider {
@@ -38,6 +40,9 @@ public:
     /// Called for frames that do not store points.
     virtual Scan read_rays(std::size_t) const { return {}; }
 };
+
+/// Sets what the user knows about the points. Lists these conventions.
+void apply_conventions(Log& log, ScanLayout& layout, const Conventions& set);
 
 /// Reads the scans of all frames. Poses must be set before, unless dataset.poses=none.
 /// First plans from some scans how the points of each LiDAR become rays. Scans that

@@ -12,6 +12,7 @@
 #include "read/scans/broken_scans.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/point_times.hpp"
+#include "read/scans/pose_conventions.hpp"
 
 namespace relidar::read {
 namespace {
@@ -50,7 +51,10 @@ public:
     LidarPoints read_points(std::size_t frame_index) const override {
         const PointTable table = read_point_file(files_[frame_index], units_.columns);
         check_deskewing(table.is_deskewed, layout_.motion_compensated, frame_name(frame_index));
-        return convert_table(table, units_, log_.frames[frame_index].time_s, frame_name(frame_index));
+        double frame_time_s = log_.frames[frame_index].time_s;
+        if (const auto times = find_time_range(table); times && units_.starts_at_frame)
+            frame_time_s = units_.time_unit_s * (*times)[0];
+        return convert_table(table, units_, frame_time_s, frame_name(frame_index));
     }
     Scan read_rays(std::size_t frame_index) const override {
         const Frame& frame = log_.frames[frame_index];
@@ -362,6 +366,22 @@ std::vector<std::size_t> select_frames(const Log& log, int max_scans) {
 
 }  // namespace
 
+void apply_conventions(Log& log, ScanLayout& layout, const Conventions& set) {
+    const bool sets_deskew = set.deskew != Conventions::Deskew::automatic,
+               sets_rings = set.rings != Conventions::Rings::automatic;
+    if (sets_deskew) layout.motion_compensated = set.deskew == Conventions::Deskew::deskewed;
+    list_convention(log, {"points", layout.motion_compensated ? "motion-compensated" : "raw",
+                          sets_deskew ? kFromSetting : layout.declared_by, "conventions.deskew"});
+    bool has_beams = false;
+    for (LidarScanLayout& lidar : layout.lidars) {
+        if (sets_rings) lidar.lowest_first = set.rings == Conventions::Rings::lowest_first;
+        has_beams = has_beams || lidar.has_beams;
+    }
+    if (has_beams)
+        list_convention(log, {"ring 0", layout.lidars[0].lowest_first ? "lowest beam" : "highest beam",
+                              sets_rings ? kFromSetting : layout.declared_by, "conventions.rings"});
+}
+
 void read_scans(Log& log, const ScanLayout& layout, const ScanProvider& scan_provider,
                 const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
@@ -376,9 +396,10 @@ void read_scans(Log& log, const ScanLayout& layout, const ScanProvider& scan_pro
     broken.remove_broken(log);
 }
 
-void read_scan_files(Log& log, const ScanLayout& layout, PointFileUnits units,
+void read_scan_files(Log& log, ScanLayout layout, PointFileUnits units,
                      const std::vector<fs::path>& scan_files, const DatasetOptions& options) {
-    fill_units(units, scan_files, log.notes);
+    apply_conventions(log, layout, options.conventions);
+    fill_units(units, scan_files, layout.declared_by, options.conventions, log);
     read_scans(log, layout, FolderScans(log, layout, units, scan_files), options);
 }
 

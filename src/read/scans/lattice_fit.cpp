@@ -13,13 +13,13 @@
 #include <Eigen/Dense>
 
 #include "base/median.hpp"
+#include "read/scans/robust_line.hpp"
 
 namespace relidar::read {
 namespace {
 
 // Nearer points are often on the vehicle, and rounded coordinates make them inaccurate.
 constexpr double kMinDistance_m = 2.0;
-constexpr double kMadToSigma = 1.4826;
 
 }  // namespace
 

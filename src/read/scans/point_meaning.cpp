@@ -21,9 +21,7 @@ constexpr double kFewBrighter = 0.995;  // share of the intensities within the s
 // A position marks "no return" if (points at this position / all points) is between these
 // limits, because measured points rarely have identical positions.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
-constexpr std::ptrdiff_t kFewestMarked = 16;
-// Size of the sample that gives a candidate, and how often it must repeat there.
-constexpr std::size_t kSampledPoints = 1024, kFewestRepeats = 3;
+constexpr std::size_t kFewestMarked = 16;
 
 /// Selects the field that contains the intensities: the first candidate that has a value
 /// other than 0. Adds a note if this is not the usual field.
@@ -60,52 +58,49 @@ void note_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemanti
                                           : "'" + quote(semantics.intensity_field) + "'"));
 }
 
-/// Returns a note if a measured point has a negative intensity, otherwise an empty text.
-std::string describe_negatives(const std::vector<PointTable>& clouds, const std::string& field) {
+/// Adds notes if measured points have negative intensities, or intensities that are not
+/// finite.
+void note_bad_intensities(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
     double lowest = 0.0;
+    std::size_t n_not_finite = 0, n_returns = 0;
     for (const PointTable& cloud : clouds) {
-        const PointFieldView* values = cloud.find_field(field);
+        const PointFieldView* values = cloud.find_field(semantics.intensity_field);
         if (!values) continue;
         const std::vector<glm::vec3> points = read_positions(cloud);
         values->for_each(cloud.n, [&](std::size_t i, double value) {
-            if (value < lowest && is_return_point(points[i])) lowest = value;
+            if (!is_return_point(points[i])) return;
+            ++n_returns;
+            if (!std::isfinite(value)) ++n_not_finite;
+            else lowest = std::min(lowest, value);
         });
     }
-    if (lowest == 0.0) return "";
-    return fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest);
-}
-
-/// Returns the most frequent of some positions, or nothing if it is rare.
-std::optional<glm::vec3> find_repeated_position(std::vector<glm::vec3> positions) {
-    std::ranges::sort(positions, {}, [](const glm::vec3& p) { return std::array{p.x, p.y, p.z}; });
-    std::optional<glm::vec3> most_frequent;
-    std::size_t most_repeats = kFewestRepeats - 1;
-    for (std::size_t begin = 0, end = 0; begin < positions.size(); begin = end) {
-        while (end < positions.size() && positions[end] == positions[begin]) ++end;
-        if (end - begin <= most_repeats) continue;
-        most_repeats = end - begin;
-        most_frequent = positions[end - 1];
-    }
-    return most_frequent;
+    if (lowest < 0.0)
+        semantics.notes.push_back(
+            fmt::format("some intensities are negative, down to {:.4g}; they are read as 0", lowest));
+    if (n_not_finite > 0)
+        semantics.notes.push_back(fmt::format(
+            "{} of {} intensities in {} scans that were tested are NaN or infinite; they are read "
+            "as 0",
+            n_not_finite, n_returns, clouds.size()));
 }
 
 /// Returns the position that marks rays without a return, if many points share it. Some
 /// files store all such rays as points at one position.
 std::optional<glm::vec3> find_marker(const PointTable& cloud) {
-    const std::vector<glm::vec3> points = read_positions(cloud);
-    std::vector<glm::vec3> sample;
-    const std::size_t n = std::min(kSampledPoints, points.size());
-    for (std::size_t k = 0; k < n; ++k) {
-        const glm::vec3& point = points[k * points.size() / n];
-        if (is_return_point(point)) sample.push_back(point);
+    std::vector<glm::vec3> points = read_positions(cloud);
+    std::erase_if(points, [](const glm::vec3& point) { return !is_return_point(point); });
+    std::ranges::sort(points, {}, [](const glm::vec3& p) { return std::array{p.x, p.y, p.z}; });
+    glm::vec3 marker(0.0f);
+    std::size_t n_marked = 0;  // points at the most frequent position
+    for (std::size_t begin = 0, end = 0; begin < points.size(); begin = end) {
+        while (end < points.size() && points[end] == points[begin]) ++end;
+        if (end - begin <= n_marked) continue;
+        n_marked = end - begin;
+        marker = points[begin];
     }
-    // The sample gives a candidate, which must then be frequent among all points.
-    const std::optional<glm::vec3> candidate = find_repeated_position(std::move(sample));
-    if (!candidate) return std::nullopt;
-    const auto n_marked = std::ranges::count(points, *candidate);
-    const double share = double(n_marked) / double(points.size());
+    const double share = double(n_marked) / double(cloud.n);
     const bool is_frequent = n_marked >= kFewestMarked && share >= kLeastMarked && share <= kMostMarked;
-    return is_frequent ? candidate : std::nullopt;
+    return is_frequent ? std::optional(marker) : std::nullopt;
 }
 
 }  // namespace
@@ -122,14 +117,13 @@ IntensityScale estimate_scale(std::vector<double> intensities) {
     std::erase_if(intensities, [](double value) { return !std::isfinite(value); });
     if (intensities.empty()) return {};
     const auto [lowest, highest] = std::ranges::minmax(intensities);
-    IntensityScale scale{.is_sure = lowest >= 0.0, .note = {}};
+    IntensityScale scale{.is_sure = lowest >= 0.0,
+                         .reason = fmt::format("guess: the highest is {:.4g}", highest)};
     if (highest <= 1.0) return scale;
     if (highest <= kByteScale) {
         scale.max = kByteScale;
         // Values up to 100 can be percentages or bytes.
         if (highest <= kPercentScale) scale.is_sure = false;
-        scale.note = fmt::format("intensities up to {:.4g} are divided by 255{}", highest,
-                                 scale.is_sure ? "" : ", but they could also be percentages");
         return scale;
     }
     if (highest > kTwoByteScale) scale.is_sure = false;
@@ -138,8 +132,7 @@ IntensityScale estimate_scale(std::vector<double> intensities) {
         intensities.begin() + std::ptrdiff_t(kFewBrighter * double(intensities.size() - 1));
     std::nth_element(intensities.begin(), percentile, intensities.end());
     scale.max = std::max(*percentile, 1.0);
-    scale.note = fmt::format("intensities go up to {:.4g}; they are divided by {:.4g}, their {}th percentile",
-                             highest, scale.max, 100.0 * kFewBrighter);
+    scale.reason += fmt::format(", the {}th percentile is {:.4g}", 100.0 * kFewBrighter, scale.max);
     return scale;
 }
 
@@ -150,8 +143,7 @@ PointFieldSemantics interpret_fields(const std::vector<PointTable>& sample_cloud
     note_unread_fields(sample_clouds, semantics);
 
     semantics.scale = estimate_scale(list_values(sample_clouds, semantics.intensity_field));
-    const std::string negatives = describe_negatives(sample_clouds, semantics.intensity_field);
-    if (!negatives.empty()) semantics.notes.push_back(negatives);
+    note_bad_intensities(sample_clouds, semantics);
 
     semantics.returns = find_unnumbered(sample_clouds);
     if (semantics.returns.exist)

@@ -24,10 +24,14 @@ std::vector<double> list_values(const std::vector<PointTable>& clouds, const std
 struct IntensityScale {
     double max = 1.0;     ///< intensity that becomes 1
     bool is_sure = true;  ///< false if other scales are equally probable
-    std::string note;     ///< text about the scale for the user; empty if the scale is 0 to 1
+    std::string reason;   ///< why this scale is used
 };
 /// Estimates which intensity becomes 1: 1, 255, or a value that only few exceed.
 IntensityScale estimate_scale(std::vector<double> intensities);
+
+/// Two points can be returns of one ray if the angle between their directions is smaller.
+/// It is not 0, because files round coordinates: a centimetre at 7 m has this angle.
+inline constexpr double kOneRay_rad = 1.4e-3;
 
 /// Finds out whether clouds have two returns of each ray without return numbers. They
 /// store most single returns twice. Without copies, pairs of points with equal ring, time

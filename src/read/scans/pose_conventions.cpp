@@ -8,6 +8,8 @@
 
 #include <fmt/format.h>
 
+#include "base/fail.hpp"
+#include "base/files.hpp"
 #include "base/geometry/cell_key.hpp"
 #include "read/scans/stamped_log.hpp"
 
@@ -140,9 +142,8 @@ struct PoseChoice {
 std::string describe_best(const PoseChoice& choice, bool has_scans) {
     const double forward = choice.forward[choice.best];
     return fmt::format(
-        "poses are read as {}, because the vehicle then moves {:.2f} m {} per metre of its path{}, but "
-        "{:.2f} m forward if poses are read as {}",
-        choice.readings[choice.best].name, std::abs(forward), forward < 0.0 ? "backward" : "forward",
+        "guess: the vehicle then moves {:.2f} m {} per metre of its path{}, but {:.2f} m forward with {}",
+        std::abs(forward), forward < 0.0 ? "backward" : "forward",
         has_scans ? " and consecutive scans overlap better" : "", choice.forward[0], choice.readings[0].name);
 }
 
@@ -150,10 +151,37 @@ std::string describe_best(const PoseChoice& choice, bool has_scans) {
 std::string describe_doubt(const PoseChoice& choice) {
     return fmt::format(
         "the convention of the poses is uncertain: the vehicle moves {:.2f} m forward per metre of its "
-        "path with poses that are read as {}, but {:.2f} m with {}; if these poses are wrong, add a first "
-        "line with the names of the columns",
+        "path with poses that are read as {}, but {:.2f} m with {}; if these poses are wrong, set "
+        "conventions.quaternions or conventions.angles",
         choice.forward[0], choice.readings[0].name, choice.forward[choice.undecided],
         choice.readings[choice.undecided].name);
+}
+
+/// Returns true if the user's settings allow a meaning.
+bool is_allowed(const PoseReading& reading, const Conventions& set) {
+    const auto fits = [](auto wanted, auto found) {
+        return int(wanted) == 0 || int(found) == 0 || wanted == found;
+    };
+    const auto direction =
+        reading.needs_scans ? Conventions::Poses::sensor_from_world : Conventions::Poses::world_from_sensor;
+    return fits(set.poses, direction) && fits(set.quaternions, reading.quaternions) &&
+           fits(set.angles, reading.angles);
+}
+
+/// Lists the conventions of the chosen meaning.
+/// @param reason  why it was chosen
+void list_reading(Log& log, const PoseReading& reading, const Conventions& set, const std::string& reason) {
+    const auto list = [&](const char* name, const char* value, auto wanted, const char* key) {
+        list_convention(log, {name, value, int(wanted) != 0 ? kFromSetting : reason, key});
+    };
+    list("poses", reading.needs_scans ? "sensor from world" : "world from sensor", set.poses,
+         "conventions.poses");
+    if (reading.quaternions != Conventions::Quaternions::automatic)
+        list("quaternions", reading.quaternions == Conventions::Quaternions::wxyz ? "w x y z" : "x y z w",
+             set.quaternions, "conventions.quaternions");
+    if (reading.angles != Conventions::Angles::automatic)
+        list("angles", reading.angles == Conventions::Angles::radians ? "radians" : "degrees", set.angles,
+             "conventions.angles");
 }
 
 PoseTrack convert_poses(PoseTrack track, Pose (*convert)(const Pose&)) {
@@ -193,28 +221,78 @@ double ScanPairs::overlap_fraction(const PoseTrack& world_from_vehicle) const {
     return pairs_.empty() ? 0.0 : sum / double(pairs_.size());
 }
 
-std::size_t choose_poses(const std::vector<PoseReading>& interpretations,
-                         const ScanPairReader& read_scan_pairs_or_null, const std::string& where,
-                         Notes& notes) {
-    PoseChoice choice(interpretations);
-    std::vector<std::size_t> possible;
-    for (std::size_t k = 1; k < interpretations.size(); ++k)
-        if (choice.is_possible(k)) possible.push_back(k);
-    if (possible.empty()) return 0;
-
-    // The overlap of scans decides. Without scans, the motion of the vehicle decides.
-    const ScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : ScanPairs();
-    if (scans.empty()) choice.choose_by_motion(possible);
-    else choice.choose_by_overlap(possible, scans);
-    if (choice.best > 0) notes.push_back(fmt::format("{}: {}", where, describe_best(choice, !scans.empty())));
-    else if (choice.undecided > 0)
-        notes.push_back({interpretations[choice.undecided].name == kScalarLast ? kQuaternionOrder : "", -1,
-                         fmt::format("{}: {}", where, describe_doubt(choice))});
-    return choice.best;
+void list_convention(Log& log, UsedConvention convention) {
+    const auto old = std::ranges::find(log.conventions_used, convention.name, &UsedConvention::name);
+    if (old == log.conventions_used.end()) log.conventions_used.push_back(std::move(convention));
+    else *old = std::move(convention);
 }
 
-void fix_inverted_poses(Log& log) {
-    if (!log.has_poses) return;
+void check_settings_used(const Log& log, const Conventions& set) {
+    const auto check = [&](bool is_set, const std::string& key) {
+        const auto uses = [&](const UsedConvention& used) {
+            return used.setting == "conventions." + key && used.from == kFromSetting;
+        };
+        if (is_set && std::ranges::none_of(log.conventions_used, uses))
+            fail<UsageError>(
+                "the setting conventions.{} has no effect on {}, because its format has another or no such "
+                "convention; expected {}",
+                key, log.source, key == "intensity_max" ? "0" : "auto");
+    };
+    check(int(set.deskew) != 0, "deskew");
+    check(int(set.time_unit) != 0, "time_unit");
+    check(int(set.time_zero) != 0, "time_zero");
+    check(read_clock_offset_s(set).has_value(), "clock_offset_s");
+    check(set.intensity_max > 0.0, "intensity_max");
+    check(int(set.poses) != 0, "poses");
+    check(int(set.quaternions) != 0, "quaternions");
+    check(int(set.angles) != 0, "angles");
+    check(int(set.rings) != 0, "rings");
+    check(int(set.box_origin) != 0, "box_origin");
+    check(int(set.box_axes) != 0, "box_axes");
+}
+
+std::optional<double> read_clock_offset_s(const Conventions& set) {
+    if (set.clock_offset_s == "auto") return std::nullopt;
+    const std::optional<double> offset_s = parse_number(set.clock_offset_s);
+    if (!offset_s || !std::isfinite(*offset_s))
+        fail<UsageError>("conventions.clock_offset_s: found '{}', expected a number of seconds or auto",
+                         quote(set.clock_offset_s));
+    return offset_s;
+}
+
+std::size_t choose_poses(const std::vector<PoseReading>& all, const ScanPairReader& read_scan_pairs_or_null,
+                         const std::string& where, const Conventions& set, Log& log) {
+    std::vector<PoseReading> readings;
+    std::vector<std::size_t> index;  // [readings] index in `all`
+    for (std::size_t k = 0; k < all.size(); ++k) {
+        if (!is_allowed(all[k], set)) continue;
+        readings.push_back(all[k]);
+        index.push_back(k);
+    }
+    PoseChoice choice(readings);
+    std::vector<std::size_t> possible;
+    for (std::size_t k = 1; k < readings.size(); ++k)
+        if (choice.is_possible(k)) possible.push_back(k);
+
+    // The overlap of scans decides. Without scans, the motion of the vehicle decides.
+    ScanPairs scans;
+    if (!possible.empty() && read_scan_pairs_or_null) scans = read_scan_pairs_or_null();
+    if (scans.empty()) choice.choose_by_motion(possible);
+    else choice.choose_by_overlap(possible, scans);
+    if (choice.best == 0 && choice.undecided > 0)
+        log.notes.push_back(
+            {readings[choice.undecided].quaternions == Conventions::Quaternions::xyzw ? kQuaternionOrder : "",
+             -1, fmt::format("{}: {}", where, describe_doubt(choice))});
+    list_reading(log, readings[choice.best], set,
+                 choice.best > 0 ? describe_best(choice, !scans.empty()) : "usual");
+    return index[choice.best];
+}
+
+void fix_inverted_poses(Log& log, const Conventions& set) {
+    const auto is_set = [](const UsedConvention& used) {
+        return used.name == "poses" && used.from == kFromSetting;
+    };
+    if (!log.has_poses || std::ranges::any_of(log.conventions_used, is_set)) return;
     PoseTrack stored_poses = log.world_from_vehicle;  // as in the file, before centre_log()
     for (Pose& pose : stored_poses.pose) pose.translation += log.world_offset_m;
     std::vector<PoseReading> readings = {{.name = "world-from-sensor poses",  // assumed by the reader
@@ -225,16 +303,23 @@ void fix_inverted_poses(Log& log) {
     // If the reader could not decide the order of the quaternions, it assumed w x y z and
     // left a note. The scans now decide the order, too.
     const auto undecided = std::ranges::find(log.notes, kQuaternionOrder, &Note::id);
-    if (undecided != log.notes.end()) {
+    const bool is_undecided = undecided != log.notes.end();
+    if (is_undecided) {
         readings[0].name = kScalarFirst;
-        readings.push_back({kScalarLast, convert_poses(stored_poses, read_scalar_last)});
+        readings[0].quaternions = Conventions::Quaternions::wxyz;
+        readings.push_back({.name = kScalarLast,
+                            .world_from_vehicle = convert_poses(stored_poses, read_scalar_last),
+                            .quaternions = Conventions::Quaternions::xyzw});
         log.notes.erase(undecided);
     }
-    const auto read_pairs = [&] { return collect_pairs(log); };
-    Notes notes;
-    const std::size_t best = choose_poses(readings, read_pairs, log.source, notes);
+    Log listed;
+    const std::size_t best = choose_poses(
+        readings, [&] { return collect_pairs(log); }, log.source, set, listed);
     // Without their ids, the notes do not say again that the order is undecided.
-    for (const Note& note : notes) log.notes.push_back(note.text);
+    for (const Note& note : listed.notes) log.notes.push_back(note.text);
+    const auto is_listed = [](const UsedConvention& used) { return used.name == "poses"; };
+    if (best == 0 && !is_undecided && std::ranges::any_of(log.conventions_used, is_listed)) return;
+    for (UsedConvention& used : listed.conventions_used) list_convention(log, std::move(used));
     if (best == 0) return;
     // The other readings are not centred.
     set_trajectory(log, readings[best].world_from_vehicle);

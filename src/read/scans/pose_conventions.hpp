@@ -5,6 +5,7 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,9 @@ struct PoseReading {
     /// True if this meaning is accepted only if scans overlap better. Forward motion is
     /// not enough, because vehicles can also drive backwards.
     bool needs_scans = false;
+    /// Conventions of this meaning; `automatic` if the file has no quaternions or angles.
+    Conventions::Quaternions quaternions = Conventions::Quaternions::automatic;
+    Conventions::Angles angles = Conventions::Angles::automatic;
 };
 
 /// Pairs of scans for testing poses. With correct poses, the scans of a pair overlap.
@@ -45,19 +49,28 @@ private:
 
 using ScanPairReader = std::function<ScanPairs()>;
 
-/// Returns the index of the meaning that fits the motion of the vehicle and the scans
-/// best: 0, the documented meaning, unless another meaning is clearly better. Adds a note
-/// if the result is not 0, or if the vehicle drives backward and no scans decide.
+/// Adds a convention to the table of a log, or replaces the one with this name.
+void list_convention(Log& log, UsedConvention convention);
+/// @throws UsageError if a convention that the user has set has no effect on this log
+void check_settings_used(const Log& log, const Conventions& set);
+/// Returns Conventions::clock_offset_s as a number, or nothing if it is "auto".
+/// @throws UsageError for other text
+std::optional<double> read_clock_offset_s(const Conventions& set);
+
+/// Returns the index of the meaning that the user has set, or else the one that fits the
+/// motion of the vehicle and the scans best: 0, the documented meaning, unless another
+/// meaning is clearly better. Lists the convention in the log. Adds a note if the vehicle
+/// drives backward and no scans decide.
 /// @param read_scan_pairs_or_null  called only if the motion contradicts the documented
 /// meaning
 /// @param where  name of the file, for the note
 std::size_t choose_poses(const std::vector<PoseReading>& interpretations,
                          const ScanPairReader& read_scan_pairs_or_null, const std::string& where,
-                         Notes& notes);
+                         const Conventions& set, Log& log);
 
 /// Inverts the poses of a log, with a note, if the vehicle then drives forward and
 /// consecutive scans overlap better. Also decides the order of the quaternions if the
 /// reader could not. The log must contain the scans.
-void fix_inverted_poses(Log& log);
+void fix_inverted_poses(Log& log, const Conventions& set);
 
 }  // namespace relidar::read

@@ -62,7 +62,8 @@ std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int
     return poses;
 }
 
-void replace_poses(Log& log, const fs::path& pose_file, const ScanPairReader& read_scan_pairs) {
+void replace_poses(Log& log, const DatasetOptions& options, const ScanPairReader& read_scan_pairs) {
+    const fs::path& pose_file = options.poses_file;
     if (pose_file.empty()) return;
     const std::vector<double>& times_s = log.world_from_vehicle.time_s;
     if (pose_file == kNoPoses) {
@@ -71,7 +72,8 @@ void replace_poses(Log& log, const fs::path& pose_file, const ScanPairReader& re
         set_trajectory(log, {times_s, std::vector<Pose>(times_s.size())});
         return;
     }
-    const auto poses = load_poses(pose_file, list_posed_frames(log), read_scan_pairs, log.notes);
+    const auto poses =
+        load_poses(pose_file, list_posed_frames(log), read_scan_pairs, options.conventions, log);
     if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
     // The file has poses in the world of the dataset, which the log shifts.
     set_trajectory(log, shift_track({times_s, *poses}, -log.world_offset_m));

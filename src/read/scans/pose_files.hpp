@@ -8,6 +8,7 @@
 #include <vector>
 
 #include <relidar/log/log.hpp>
+#include <relidar/read/dataset.hpp>
 
 #include "read/scans/pose_conventions.hpp"
 
@@ -34,9 +35,8 @@ inline const Note kNoPosesNote{
 
 /// Replaces the vehicle poses of a log by the poses in a file of the user: a matrix for
 /// each frame, or poses with times. The boxes move with the vehicle.
-/// @param pose_file  empty: does nothing; "none": sets identity poses
+/// @param options  poses_file empty: does nothing; "none": sets identity poses
 /// @param read_scan_pairs  reads scans that show which meaning of the poses fits
-void replace_poses(Log& log, const std::filesystem::path& pose_file,
-                   const ScanPairReader& read_scan_pairs = nullptr);
+void replace_poses(Log& log, const DatasetOptions& options, const ScanPairReader& read_scan_pairs = nullptr);
 
 }  // namespace relidar::read

@@ -18,13 +18,14 @@ namespace {
 constexpr double kLeastRepeated = 0.1;
 // Share of the repeated points that must follow the same rule.
 constexpr double kMinRegularShare = 0.95;
-// If a driver removes repeated points, only true second returns share ring and time with
-// another point. At least this number, and this share of them, must be on the same ray.
+// If a driver removes repeated points, as Nebula does for a Velodyne, only true second
+// returns share ring and time with another point. At least this number, and this share of
+// them, must be on the same ray.
 constexpr std::size_t kFewestPairs = 16;
 constexpr double kLeastOnRay = 0.5, kMostLargeGroups = 0.01;
 // Two points are on the same ray if the angle between them is below kOneRay_rad, plus the
 // parallax of a beam that starts kLargestOffset_m beside the centre.
-constexpr double kOneRay_rad = 1.4e-3, kLargestOffset_m = 0.1;
+constexpr double kLargestOffset_m = 0.1;
 // Columns of no sensor are this close. Such pairs are returns, even if they are frequent.
 constexpr double kExactRay_rad = 2e-4;
 // Number of points of equal ring and time that are compared. It limits the search in

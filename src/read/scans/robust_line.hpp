@@ -51,16 +51,17 @@ inline RobustLine fit_line(const std::vector<glm::dvec2>& points, const RobustLi
     return {at_zero, slope, std::size_t(n), std::sqrt(squares / spread)};
 }
 
+/// standard deviation of normal errors, divided by their median absolute value
+inline constexpr double kMadToSigma = 1.4826;
+
 /// Starts with all points. Then repeats the fit without points that are more than three
 /// standard deviations away.
 inline RobustLine fit_robust_line(const std::vector<glm::dvec2>& points, const RobustLineOptions& options) {
-    // standard deviation of normal errors, divided by their median absolute value
-    constexpr double kSigmaOfMedian = 1.4826;
     RobustLine line = fit_line(points, {}, INFINITY, options);
     for (int pass = 0; pass < options.n_passes && line.n > 0; ++pass) {
         std::vector<double> errors;
         for (const glm::dvec2& p : points) errors.push_back(std::abs(line.residual(p)));
-        const double sigma = kSigmaOfMedian * compute_median(std::move(errors));
+        const double sigma = kMadToSigma * compute_median(std::move(errors));
         line = fit_line(points, line, std::max(3.0 * sigma, options.min_outlier), options);
     }
     return line;

@@ -10,7 +10,6 @@
 namespace relidar::read {
 namespace {
 
-constexpr double kUsualPeriod_s = 0.1;  // if the log has only one frame
 // The slowest spinning LiDARs of vehicles make five revolutions per second. If scans are
 // farther apart, the log has only some of the scans.
 constexpr double kLongestPeriod_s = 0.25;

@@ -46,6 +46,7 @@ struct LidarScanLayout {
 struct ScanLayout {
     std::vector<LidarScanLayout> lidars = {};
     bool motion_compensated = false;
+    std::string declared_by = "dataset";  ///< what says the conventions of the points
     /// True if the user describes the LiDARs in sequence.json. Other points are an error.
     bool is_described = false;
 };
@@ -95,6 +96,9 @@ struct ScanPlan {
     std::string why_no_beams;       ///< why no beams fit the points of a LiDAR that may spin
     bool is_contradiction = false;  ///< true if the fit failed, although the LiDAR should spin
 };
+
+/// Duration of a sweep of most LiDARs of vehicles.
+inline constexpr double kUsualPeriod_s = 0.1;
 
 /// Returns the interval in which the times of the points of a scan must be.
 /// @param sweep_s  duration of a sweep

@@ -13,6 +13,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/median.hpp"
+#include "read/scans/cloud_units.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/frame_range.hpp"
 #include "read/scans/pose_files.hpp"
@@ -307,7 +308,7 @@ std::vector<fs::path> add_frames(Log& log, const StampedLog& stamped, const Data
     if (!without_pose.empty()) note_without_pose(log, stamped, without_pose, files.size());
     set_log_start(log, stamped.scans[0].stamp * std::llround(1e9 * stamped.unit_s),
                   "on the clock of the files");
-    read::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     return files;
 }
@@ -338,6 +339,11 @@ void read_frame_scans(Log& log, const std::vector<fs::path>& scan_files, FileFor
             format.beams.clear();  // The points come from another LiDAR and get no rings.
         }
     }
+    apply_conventions(log, layout, options.conventions);
+    if (options.conventions.intensity_max > 0.0) {
+        format.units.intensity_max = options.conventions.intensity_max;
+        list_scale(log, {options.conventions.intensity_max, true, kFromSetting}, "");
+    }
     read_scans(log, layout, StampedScans(log, scan_files, format), options);
 }
 
@@ -347,7 +353,7 @@ void set_intensity_max(FileFormat& format, Log& log, const std::vector<fs::path>
                  [&](std::size_t i) { samples.push_back(read_point_file(scan_files[i], {})); });
     const IntensityScale scale = interpret_fields(samples).scale;
     format.units.intensity_max = scale.max;
-    if (!scale.note.empty()) log.notes.push_back(scale.note);
+    list_scale(log, scale, "");
 }
 
 }  // namespace relidar::read

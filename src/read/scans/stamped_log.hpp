@@ -104,7 +104,7 @@ void read_frame_scans(Log& log, const std::vector<std::filesystem::path>& scan_f
                       const DatasetOptions& options);
 
 /// Estimates from some of the files which intensity becomes 1. Sets it in the format.
-/// Skips unreadable files. Adds a note unless the scale is 0 to 1.
+/// Skips unreadable files.
 void set_intensity_max(FileFormat& format, Log& log, const std::vector<std::filesystem::path>& scan_files);
 
 }  // namespace relidar::read

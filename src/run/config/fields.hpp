@@ -106,6 +106,35 @@ void visit_settings(C& config, Visitor&& visitor) {
     RELIDAR_SETTING(dataset.memory_mib, accept_between(0, kMaxCount),
                     "memory for scans in MiB; further scans are stored in a memory-mapped file in TMPDIR; 0: "
                     "half of the machine's memory");
+    RELIDAR_SETTING(conventions.deskew, accept_one_of({"auto", "raw", "deskewed"}),
+                    "whether the points of the log are raw, at their firing times, or deskewed "
+                    "(motion-compensated); auto, here and below: as the log says it, or guessed");
+    RELIDAR_SETTING(conventions.time_unit, accept_one_of({"auto", "s", "ms", "us", "ns"}),
+                    "unit of the times of points");
+    RELIDAR_SETTING(conventions.time_zero, accept_one_of({"auto", "stamp", "clock", "first_point"}),
+                    "when the time of a point is 0: stamp: at the time stamp of its scan; clock: at the zero "
+                    "of the clock of the stamps; first_point: unknown, so the first point gets the stamp");
+    RELIDAR_SETTING(conventions.clock_offset_s, accept_anything(),
+                    "seconds by which the clock of the scans is ahead of the clock of the poses, for example "
+                    "37 for TAI and UTC; or auto");
+    RELIDAR_SETTING(conventions.intensity_max, accept_at_least(0),
+                    "intensity in the files that becomes 1; 0: as the log says it, or guessed");
+    RELIDAR_SETTING(conventions.poses, accept_one_of({"auto", "world_from_sensor", "sensor_from_world"}),
+                    "what the poses of the log are; sensor_from_world is the inverse of the usual poses");
+    RELIDAR_SETTING(conventions.quaternions, accept_one_of({"auto", "wxyz", "xyzw"}),
+                    "order of the quaternions of poses");
+    RELIDAR_SETTING(conventions.angles, accept_one_of({"auto", "radians", "degrees"}),
+                    "unit of roll, pitch and yaw in a file of poses");
+    RELIDAR_SETTING(conventions.rings, accept_one_of({"auto", "highest_first", "lowest_first"}),
+                    "beam that has the ring 0");
+    RELIDAR_SETTING(conventions.box_origin, accept_one_of({"auto", "centre", "bottom"}),
+                    "position of a box: its centre, or the centre of its bottom side");
+    RELIDAR_SETTING(
+        conventions.box_axes,
+        accept_one_of({"auto", "right", "swapped", "turned", "mirrored_world", "mirrored_vehicle"}),
+        "how boxes are stored: right: length along x, in right-handed axes; swapped: width before length; "
+        "turned: 90 degrees of yaw are missing; mirrored_world, mirrored_vehicle: y and yaw have the "
+        "opposite sign in the world or in the frame of the vehicle, as in CARLA");
     RELIDAR_SETTING(sensor.grid, accept_one_of({"native", "kitti360"}),
                     "pixel grid of the range images that are rendered and scored: the rows and columns of "
                     "the sensor (native), or the grid of KITTI-360 with 66 x 1030 pixels (kitti360)");

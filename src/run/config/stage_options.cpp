@@ -48,6 +48,7 @@ Log load_log(const Config& config, const Progress& progress, int max_scans) {
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
     options.skip_broken = config.dataset.skip_broken;
+    options.conventions = config.conventions;
     options.rolling_shutter = config.sensor.rolling_shutter != RollingShutter::no;
     // The setting 0 means no limit.
     options.max_range_m = config.dataset.max_range_m > 0.0 ? config.dataset.max_range_m : INFINITY;

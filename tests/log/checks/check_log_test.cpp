@@ -56,7 +56,7 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
         return largest_m;
     };
     Log log = street;
-    read::fix_inverted_poses(log);
+    read::fix_inverted_poses(log, {});
     EXPECT_EQ(log.notes, street.notes);
     EXPECT_EQ(largest_error_m(log), 0.0);
     for (Pose& pose : log.world_from_vehicle.pose) {
@@ -65,10 +65,12 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
     }
     log.world_offset_m = glm::dvec3(0.0);
     EXPECT_GT(largest_error_m(log), 3.0);
-    read::fix_inverted_poses(log);
+    log.conventions_used.clear();
+    read::fix_inverted_poses(log, {});
     EXPECT_LT(largest_error_m(log), 1e-6);
-    ASSERT_EQ(log.notes.size(), street.notes.size() + 1);
-    EXPECT_THAT(log.notes.back(), testing::HasSubstr("sensor-from-world"));
+    ASSERT_EQ(log.conventions_used.size(), 1u);
+    EXPECT_EQ(log.conventions_used[0].value, "sensor from world");
+    EXPECT_THAT(log.conventions_used[0].from, testing::StartsWith("guess: "));
 }
 
 TEST(ChoosePoses, WithoutScansANoteAsksWhetherTheVehicleDrivesBackward) {
@@ -77,12 +79,12 @@ TEST(ChoosePoses, WithoutScansANoteAsksWhetherTheVehicleDrivesBackward) {
         backward.append(0.2 * i, {{0, 0, 0, 1}, {1.5 * i, 0, 0}});  // faces -x
         forward.append(0.2 * i, {{1, 0, 0, 0}, {1.5 * i, 0, 0}});
     }
-    Notes notes;
+    Log log;
     EXPECT_EQ(read::choose_poses({{read::kScalarFirst, backward}, {read::kScalarLast, forward}}, nullptr,
-                                 "poses", notes),
+                                 "poses", {}, log),
               0u);
-    ASSERT_EQ(notes.size(), 1u);
-    EXPECT_THAT(notes[0], test::Names("-1.00 m ... 1.00 m ... qx qy qz qw"));
+    ASSERT_EQ(log.notes.size(), 1u);
+    EXPECT_THAT(log.notes[0].text, test::Names("-1.00 m ... 1.00 m ... qx qy qz qw"));
 }
 
 TEST(CheckLog, NamesFramePoseOrBox) {

@@ -77,6 +77,7 @@ class Log:
     def __len__(self) -> int: ...
     name: Final[str]
     notes: Final[list[str]]
+    conventions: Final[dict[str, dict[str, str]]]
     config: Final[Config]
     times: Final[_Double]
     frame_numbers: Final[NDArray[np.int32]]

@@ -166,10 +166,10 @@ void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const st
 /// Settings that change the real scans or their images. A baseline renders no scene, so
 /// all other settings have no effect on it.
 const std::vector<std::string> kBaselineSettings = {
-    "dataset.sequence",        "dataset.lidars",      "dataset.frames_begin",  "dataset.frames_end",
-    "dataset.test_every",      "dataset.poses",       "dataset.test_frames",   "dataset.poses_from",
-    "dataset.skip_broken",     "dataset.min_range_m", "dataset.memory_mib",    "dataset.max_range_m",
-    "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
+    "dataset.sequence",        "dataset.lidars",      "dataset.frames_begin",   "dataset.frames_end",
+    "dataset.test_every",      "dataset.poses",       "dataset.test_frames",    "dataset.poses_from",
+    "dataset.skip_broken",     "dataset.min_range_m", "dataset.memory_mib",     "dataset.max_range_m",
+    "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter", "conventions."};
 
 /// Scores a baseline, a simple prediction of the held-out scans of a log. Needs neither a
 /// trained run nor a GPU.

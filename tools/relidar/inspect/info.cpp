@@ -67,7 +67,8 @@ void print_log_info(const InfoOptions& options) {
 void run_info(const InfoOptions& options) {
     const bool has_scene = is_run_folder(options.path);
     const bool is_run = has_scene || contains_run(options.path);
-    const std::vector<std::string> log_settings{"dataset.", "sensor.rolling_shutter", "init."};
+    const std::vector<std::string> log_settings{"dataset.", "conventions.", "sensor.rolling_shutter",
+                                                "init."};
     check_settings_used(options.settings.sets, is_run ? std::vector<std::string>{} : log_settings,
                         is_run ? "info RUN" : "info");
     if (is_run && (options.all || !options.part.frames.empty() || !options.part.sequence.empty()))

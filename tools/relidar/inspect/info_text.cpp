@@ -88,6 +88,15 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool show_instance_c
     return "\n" + format_table(rows) + box_notes(boxes);
 }
 
+/// Returns a table of the conventions with which a log was read, or an empty text.
+std::string convention_table(const std::vector<UsedConvention>& conventions) {
+    if (conventions.empty()) return "";
+    TableRows rows{{"convention", "value", "change with", "from"}};
+    for (const UsedConvention& used : conventions)
+        rows.push_back({used.name, used.value, used.setting, used.from});
+    return "\n" + format_table(rows);
+}
+
 /// Returns the summary of a box for `relidar info --json`.
 Json summary_json(const BoxSummary& summary) {
     const BoxTrack& box = summary.box;
@@ -135,9 +144,14 @@ Json summary_json(const LogSummary& summary) {
     for (const BoxSummary& box : summary.boxes) boxes.push_back(summary_json(box));
     for (const LidarSummary& lidar : summary.lidars) lidars.push_back(summary_json(lidar));
     const Log& log = summary.log;
+    Json conventions = Json::array();
+    for (const UsedConvention& used : log.conventions_used)
+        conventions.push_back(
+            {{"name", used.name}, {"value", used.value}, {"from", used.from}, {"setting", used.setting}});
     Json json = {{"name", log.name},
                  {"source", log.source},
                  {"conventions", log.conventions},
+                 {"conventions_used", conventions},
                  {"notes", summary.notes},
                  {"lidars", lidars},
                  {"rolling_shutter", log.rolling_shutter},
@@ -271,7 +285,7 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
                                              std::ssize(summary.boxes) - n_moving));
     if (!summary.masked.empty())
         text += format_line("masked", summary.masked + ": these moving objects are not trained");
-    return text + box_table(summary.boxes, show_instance_columns);
+    return text + convention_table(log.conventions_used) + box_table(summary.boxes, show_instance_columns);
 }
 
 }  // namespace

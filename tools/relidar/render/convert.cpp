@@ -84,7 +84,8 @@ void write_log_as_packets(const Log& log, const ConvertOptions& options) {
 /// Reads a log and writes it as a folder of plain files or, if the name of the output
 /// ends in .pcap, as network packets.
 void run_convert(const ConvertOptions& options) {
-    check_settings_used(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
+    check_settings_used(options.settings.sets, {"dataset.", "conventions.", "sensor.rolling_shutter"},
+                        "convert");
     Config config = make_config(options.settings);
     config.dataset.path = options.dataset;
     apply_selection(config, {.frames = options.frames, .sequence = ""});

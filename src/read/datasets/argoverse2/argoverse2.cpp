@@ -387,7 +387,7 @@ Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
     SweepPairs read = read_sweeps(sweeps, log.lidars, vehicle_track, options.progress, broken);
     add_sweeps(log, sweeps, vehicle_track, std::move(read), options.progress, broken);
-    read::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     return log;
 }

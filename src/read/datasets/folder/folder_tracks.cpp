@@ -156,11 +156,11 @@ PoseTrack make_row_track(const PoseRows& pose_rows, const RotationOf& rotation_o
 std::vector<PoseReading> add_inverses(std::vector<PoseReading> interpretations) {
     const std::size_t n = interpretations.size();
     for (std::size_t k = 0; k < n; ++k) {
-        PoseTrack track = interpretations[k].world_from_vehicle;
-        for (Pose& pose : track.pose) pose = inverse(pose);
-        interpretations.push_back({.name = interpretations[k].name + ", from the world to the sensor",
-                                   .world_from_vehicle = std::move(track),
-                                   .needs_scans = true});
+        PoseReading inverted = interpretations[k];
+        inverted.name += ", from the world to the sensor";
+        inverted.needs_scans = true;
+        for (Pose& pose : inverted.world_from_vehicle.pose) pose = inverse(pose);
+        interpretations.push_back(std::move(inverted));
     }
     return interpretations;
 }
@@ -182,11 +182,19 @@ std::vector<PoseReading> list_conventions(const PoseRows& pose_rows) {
     if (has_quaternions && pose_rows.has_names)
         readings = {{"columns in the order of the header line", make_row_track(pose_rows, w_first)}};
     else if (has_quaternions)
-        readings = {{kScalarFirst, make_row_track(pose_rows, w_first)},
-                    {kScalarLast, make_row_track(pose_rows, w_last)}};
+        readings = {{.name = kScalarFirst,
+                     .world_from_vehicle = make_row_track(pose_rows, w_first),
+                     .quaternions = Conventions::Quaternions::wxyz},
+                    {.name = kScalarLast,
+                     .world_from_vehicle = make_row_track(pose_rows, w_last),
+                     .quaternions = Conventions::Quaternions::xyzw}};
     else
-        readings = {{"roll, pitch and yaw in radians", make_row_track(pose_rows, radians)},
-                    {"roll, pitch and yaw in degrees", make_row_track(pose_rows, degrees)}};
+        readings = {{.name = "roll, pitch and yaw in radians",
+                     .world_from_vehicle = make_row_track(pose_rows, radians),
+                     .angles = Conventions::Angles::radians},
+                    {.name = "roll, pitch and yaw in degrees",
+                     .world_from_vehicle = make_row_track(pose_rows, degrees),
+                     .angles = Conventions::Angles::degrees}};
     return add_inverses(std::move(readings));
 }
 
@@ -327,15 +335,22 @@ BoxLabel read_box_label(const JsonField& label, const std::vector<LogFrame>& all
 /// @param read_scan_pairs  empty unless the log is a plain folder (with sequence.json)
 std::vector<Pose> load_timed_poses(const std::vector<std::string>& lines, const std::string& file_name,
                                    const std::vector<LogFrame>& frames, const ScanPairReader& read_scan_pairs,
-                                   Notes& notes) {
+                                   const Conventions& set, Log& log) {
     const PoseRows rows = parse_pose_rows(lines, file_name);
     if (rows.rows.empty()) fail_without_poses(file_name);
-    const std::vector<PoseReading> readings = list_conventions(rows);  // [0]: the documented one
+    std::vector<PoseReading> readings = list_conventions(rows);  // [0]: the documented one
+    if (const std::optional<double> offset_s = read_clock_offset_s(set)) {
+        for (PoseReading& reading : readings)
+            for (double& time_s : reading.world_from_vehicle.time_s) time_s += *offset_s;
+        list_convention(log, {"clock", fmt::format("scans {:.3f} s ahead of the poses", *offset_s),
+                              kFromSetting, "conventions.clock_offset_s"});
+    }
     // Only relidar writes the column name time_s. Its files are as documented.
     const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
-    const std::size_t chosen = is_certain ? 0 : choose_poses(readings, read_scan_pairs, file_name, notes);
-    const PoseTrack& track = readings[chosen].world_from_vehicle;
-    note_sparse_poses(track, frames, file_name, notes);
+    if (is_certain) readings.resize(1);
+    const PoseTrack& track =
+        readings[choose_poses(readings, read_scan_pairs, file_name, set, log)].world_from_vehicle;
+    note_sparse_poses(track, frames, file_name, log.notes);
     return poses_at_frames(track, frames, file_name, /*is_plain_folder=*/bool(read_scan_pairs));
 }
 
@@ -343,7 +358,7 @@ std::vector<Pose> load_timed_poses(const std::vector<std::string>& lines, const 
 /// if the vehicle then drives forward and the scans overlap better.
 /// @param read_scan_pairs  reads scans to test the poses; may be empty
 std::vector<Pose> load_matrix_poses(const fs::path& pose_file, const std::vector<LogFrame>& frames,
-                                    const ScanPairReader& read_scan_pairs, Notes& notes) {
+                                    const ScanPairReader& read_scan_pairs, const Conventions& set, Log& log) {
     std::vector<int> numbers;
     for (const LogFrame& frame : frames) numbers.push_back(frame.number);
     std::vector<Pose> poses = read::read_matrices(pose_file, numbers);
@@ -352,7 +367,8 @@ std::vector<Pose> load_matrix_poses(const fs::path& pose_file, const std::vector
         if (track.time_s.empty() || frames[i].time_s != track.time_s.back())
             track.append(frames[i].time_s, poses[i]);
     const std::vector<PoseReading> stored_and_inverse = add_inverses({{"matrices", std::move(track)}});
-    const bool is_inverse = choose_poses(stored_and_inverse, read_scan_pairs, pose_file.string(), notes) == 1;
+    const bool is_inverse =
+        choose_poses(stored_and_inverse, read_scan_pairs, pose_file.string(), set, log) == 1;
     if (is_inverse)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;
@@ -362,7 +378,7 @@ std::vector<Pose> load_matrix_poses(const fs::path& pose_file, const std::vector
 
 std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std::vector<LogFrame>& frames,
                                             const ScanPairReader& read_scan_pairs_for_pose_check,
-                                            Notes& notes) {
+                                            const Conventions& set, Log& log) {
     constexpr std::size_t kMatrixNumbers = 12;
     if (!does_path_exist(pose_file)) return std::nullopt;
     std::vector<std::string> lines = split_lines(read_text_file(pose_file));
@@ -371,8 +387,8 @@ std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std
         std::ranges::find_if(lines, [](const std::string& line) { return !strip_comment(line).empty(); });
     if (first == lines.end()) fail_without_poses(pose_file.string());
     if (split_words(strip_comment(*first)).size() == kMatrixNumbers)
-        return load_matrix_poses(pose_file, frames, read_scan_pairs_for_pose_check, notes);
-    return load_timed_poses(lines, pose_file.string(), frames, read_scan_pairs_for_pose_check, notes);
+        return load_matrix_poses(pose_file, frames, read_scan_pairs_for_pose_check, set, log);
+    return load_timed_poses(lines, pose_file.string(), frames, read_scan_pairs_for_pose_check, set, log);
 }
 
 std::vector<BoxTrack> read_box_tracks(const fs::path& path, const std::vector<LogFrame>& loaded_frames,

@@ -65,6 +65,7 @@ std::vector<glm::vec3> read_image_points(const read::FolderHead& header, const r
 std::vector<glm::vec3> read_vehicle_points(const read::FolderHead& header, const LogFrame& frame) {
     read::PointFileUnits units = header.units;
     units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
+    units.ignore_times = true;
     std::vector<glm::vec3> points;
     if (read::is_image_file(frame.scan)) {
         points = read_image_points(header, units, frame);
@@ -100,21 +101,22 @@ read::ScanPairs read_scan_pairs(const read::FolderHead& header, const std::vecto
 /// which the other poses replace later.
 std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::FolderHead& header,
                                      const std::vector<LogFrame>& frames, const DatasetOptions& options,
-                                     Notes& notes) {
+                                     Log& log) {
     const fs::path file = folder / read::kPosesFile;
     const bool are_replaced = !options.poses_file.empty();
     const auto read_pairs = [&] { return read_scan_pairs(header, frames); };
-    Notes pose_notes;
     try {
-        const auto poses = read::load_poses(file, frames, read_pairs, pose_notes);
-        // Notes about poses that are not used would confuse the user.
-        if (!are_replaced) notes.insert(notes.end(), pose_notes.begin(), pose_notes.end());
+        // Settings and notes are those of the poses that replace these.
+        Log unused;
+        const auto poses =
+            read::load_poses(file, frames, read_pairs, are_replaced ? Conventions{} : options.conventions,
+                             are_replaced ? unused : log);
         if (poses) return *poses;
     } catch (const DataError& error) {
         if (!are_replaced) throw;
         // Boxes in world coordinates were placed with the poses of this file.
         if (does_path_exist(folder / read::kBoxesFile))
-            notes.push_back(
+            log.notes.push_back(
                 fmt::format("{}; boxes in world coordinates may be at wrong places", error.what()));
     }
     if (are_replaced) return std::vector<Pose>(frames.size());
@@ -139,20 +141,21 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     log.lidars.clear();
     for (const read::HeaderLidar& lidar : head.lidars) log.lidars.push_back(lidar.lidar);
     const std::vector<LogFrame> frames = select_frames(head, options, log.notes);
-    const std::vector<Pose> poses = read_vehicle_poses(folder, head, frames, options, log.notes);
+    const std::vector<Pose> poses = read_vehicle_poses(folder, head, frames, options, log);
     std::vector<fs::path> files;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         add_frame(log, frames[i].number, frames[i].time_s, poses[i], frames[i].lidar);
         files.push_back(frames[i].scan);
     }
     log.boxes = read::read_box_tracks(folder / read::kBoxesFile, frames, head.frames);
-    read::replace_poses(log, options.poses_file, [&] { return read_scan_pairs(head, frames); });
+    read::replace_poses(log, options, [&] { return read_scan_pairs(head, frames); });
     if (options.poses_file.empty()) log.georeference = head.georeference;
     // A saved log gets the same origin as before, unless its poses are replaced.
     if (head.world_offset_m && options.poses_file.empty()) centre_log(log, *head.world_offset_m);
     else centre_log(log);
     const read::ScanLayout layout{.lidars = {head.lidars.begin(), head.lidars.end()},
                                   .motion_compensated = head.motion_compensated,
+                                  .declared_by = read::kHeadFile,
                                   .is_described = true};
     read::read_scan_files(log, layout, head.units, files, options);
     return log;

@@ -106,7 +106,7 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     if (options.poses_file.empty()) poses = read_oxts_poses(drive, frames);
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
     // Tracklets are relative to the vehicle, so they are read when its poses are final.
-    read::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     if (options.poses_file.empty()) log.georeference = read_oxts_place(drive);
     log.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, log.world_from_vehicle);
@@ -139,7 +139,7 @@ Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
         "frame is the LiDAR frame of frame 0. Scans are motion-compensated. The dataset has no boxes.";
     log.rolling_shutter = false;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(log, frames[i], time_s[i], poses[i]);
-    read::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     read_kitti_sweeps(log, folder / "velodyne", options, /*hdl64_is_moved=*/true, folder / "labels");
     return log;

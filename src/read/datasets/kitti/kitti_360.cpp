@@ -306,7 +306,7 @@ Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
     note_missing_scans(log, points / "data", frames, options.allow_missing_scans);
     log.lidars[0].sensor.period_s = read_time_step_s(points / "timestamps.txt");
     add_kitti_360_frames(log, folder, chosen, frames, options.poses_file);
-    read::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     constexpr int kFileNameDigits = 10;
     read_hdl64_sweeps(log, points / "data", kFileNameDigits, options);

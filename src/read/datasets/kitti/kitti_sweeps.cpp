@@ -24,6 +24,7 @@
 #include "read/files/point_table.hpp"
 #include "read/files/scan_npz.hpp"
 #include "read/scans/broken_scans.hpp"
+#include "read/scans/cloud_units.hpp"
 #include "read/scans/fired_sweeps.hpp"
 #include "read/scans/firing_recovery.hpp"
 #include "read/scans/folder_points.hpp"
@@ -220,14 +221,13 @@ public:
         return samples;
     }
     /// Estimates the scale of the intensities.
-    /// @return a note, may be empty
-    std::string set_scale(const std::vector<LidarPoints>& samples) {
+    read::IntensityScale set_scale(const std::vector<LidarPoints>& samples) {
         std::vector<double> intensities;
         for (const LidarPoints& points : samples)
             intensities.insert(intensities.end(), points.intensity.begin(), points.intensity.end());
         const read::IntensityScale scale = read::estimate_scale(std::move(intensities));
         units_.intensity_max = scale.max;
-        return scale.note;
+        return scale;
     }
     int digits() const { return digits_; }
 
@@ -253,7 +253,7 @@ void read_kitti_sweeps(Log& log, const std::filesystem::path& scan_folder, const
         log.rolling_shutter = !hdl64_is_moved;
         return read_hdl64_sweeps(log, scan_folder, scans.digits(), options, label_folder);
     }
-    if (std::string note = scans.set_scale(samples); !note.empty()) log.notes.push_back(std::move(note));
+    read::list_scale(log, scans.set_scale(samples), "");
     log.lidars[0].sensor.max_range_m = options.max_range_m;
     DatasetOptions scan_options = options;
     if (!log.has_poses) scan_options.poses_file = kNoPoses;

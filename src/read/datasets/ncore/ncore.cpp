@@ -64,7 +64,7 @@ public:
             "sweep. Points are not motion-compensated.",
             quote(vehicle_), kWorld);
         set_log_start(log_, 1000 * sequence_.start_us, "on the clock of the sequence");
-        read::replace_poses(log_, options_.poses_file);
+        read::replace_poses(log_, options_);
         centre_log(log_);
         read_scans();
         log_.notes.insert(log_.notes.begin(), sequence_.notes.begin(), sequence_.notes.end());

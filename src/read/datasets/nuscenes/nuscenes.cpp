@@ -211,7 +211,7 @@ public:
         const PoseTrack vehicle_track = log_.world_from_vehicle;
         if (scene_.labels.empty()) add_note("this scene has no annotations, so it has no labels");
         log_.boxes = tracks_at_frames(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
-        read::replace_poses(log_, options_.poses_file);
+        read::replace_poses(log_, options_);
         centre_log(log_);
         if (options_.poses_file.empty()) log_.georeference = find_map_place(scene_.location);
         if (format_.is_compensated)

@@ -94,7 +94,7 @@ Log load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     }
     log.source = folder.string();
     // Wrong poses with the same scans show the effect of the poses.
-    read::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     if (!options.poses_file.empty())
         log.conventions += " Poses are replaced by dataset.poses=" + options.poses_file.string();
     return log;

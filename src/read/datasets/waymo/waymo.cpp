@@ -428,7 +428,7 @@ Log load_waymo(const fs::path& path, const DatasetOptions& options) {
     for (Lidar& lidar : log.lidars) lidar.sensor.max_range_m = options.max_range_m;
     // The scans need the poses of the dataset, so the user's poses replace them later.
     read_record_scans(log, records, options);
-    read::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     return log;
 }

@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <bit>
+#include <cstring>
 #include <random>
 
 #include <relidar/base/arrays.hpp>
@@ -82,6 +84,19 @@ TEST(OtherPrograms, NotesIntensitiesThatAreAllTheSame) {
     EXPECT_THAT(files.load().notes, testing::Contains(test::Names("intensities ... 0.5")));
 }
 
+TEST(OtherPrograms, NotesDarkIntensitiesOfRellis) {
+    const PointLog files("rellis", "bin", test::bin, kRings);
+    float highest = 0.0f;
+    for (const Frame& frame : files.street.frames)
+        for (const test::FilePoint& p : PointLog::points(frame)) highest = std::max(highest, p.intensity);
+    for (std::size_t i = 0; i < files.street.frames.size(); ++i)
+        files.change_points(i, [&](test::FilePoint& p) { p.intensity *= 0.0119f / highest; });
+    const auto dark = testing::Contains(test::Names("0.0119 ... \"intensity_max\" ... sequence.json"));
+    EXPECT_THAT(files.load().notes, dark);
+    files.put_head(std::string(kRings) + R"(, "intensity_max": 0.0119)");
+    EXPECT_THAT(files.load().notes, testing::Not(testing::Contains(test::Names("intensit"))));
+}
+
 TEST(OtherPrograms, NamesTheToolForOtherFormats) {
     const fs::path folder = make_fresh_folder_path("other_formats");
     fs::create_directories(folder / "scans");
@@ -121,16 +136,18 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
         }
         test::write_text(files.folder / "poses.txt", text);
     };
-    const auto expect = [&](const std::string& note, const Pose& of_vehicle) {
+    const auto expect = [&](const std::string& guess, const Pose& of_vehicle) {
         const Log log = files.load();
         const PoseTrack world = shift_track(log.world_from_vehicle, log.world_offset_m);
         for (std::size_t i = 0; i < world.pose.size(); ++i) {
             const Pose off = inverse(truth.pose[i] * of_vehicle) * world.pose[i];
-            EXPECT_LT(glm::length(off.translation), 1e-6) << note;
-            EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9) << note;
+            EXPECT_LT(glm::length(off.translation), 1e-6) << guess;
+            EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9) << guess;
         }
-        const auto named = testing::Contains(test::Names("poses ... " + note));
-        EXPECT_EQ(testing::Value(log.notes, named), !note.empty()) << note;
+        const auto is_guessed = [&](const UsedConvention& used) {
+            return used.from.starts_with("guess: ") && used.value == guess;
+        };
+        EXPECT_EQ(std::ranges::any_of(log.conventions_used, is_guessed), !guess.empty()) << guess;
     };
     using Numbers = std::vector<double>;
     const auto w_first = [](const Pose& p) {
@@ -143,9 +160,9 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
         const auto& [q, t] = p;
         return Numbers{t.x, t.y, t.z, q.x, q.y, q.z, q.w};
     });
-    expect("qx qy qz qw", Pose{});
+    expect("x y z w", Pose{});
     write([&](const Pose& p) { return w_first(inverse(p)); });
-    expect("qw qx qy qz, from the world to the sensor", Pose{});
+    expect("sensor from world", Pose{});
     for (const double unit : {1.0, 180.0 / kPi}) {
         write([&](const Pose& p) {
             const glm::dmat3 m = glm::mat3_cast(p.rotation);
@@ -187,8 +204,10 @@ TEST(OtherPrograms, TheScansDecideTheOrderOfQuaternions) {
                 const Pose off = inverse(turned * truth.pose[2] * front) * log.world_from_vehicle.pose[2];
                 EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9)
                     << heading_deg << " degrees, backward " << is_backward << ", w last " << is_scalar_last;
-                EXPECT_EQ(testing::Value(log.notes, testing::Contains(testing::HasSubstr("poses.txt"))),
-                          is_scalar_last);
+                const auto order =
+                    std::ranges::find(log.conventions_used, "quaternions", &UsedConvention::name);
+                ASSERT_NE(order, log.conventions_used.end());
+                EXPECT_EQ(order->value, is_scalar_last ? "x y z w" : "w x y z");
             }
     }
 }
@@ -224,6 +243,33 @@ TEST(OtherPrograms, FindsRingsInTheOrderOfTheFile) {
         const double n = double(kitti.frames[f].scan.count_returns());
         EXPECT_NEAR(double(plain.frames[f].scan.count_returns()) / n, 1.0, 0.01);
     }
+}
+
+TEST(OtherPrograms, FindsRingsOfKittiOdometry) {
+    // All points are moved to the time at which the head faces forward. In a curve, the
+    // azimuths behind the sensor, where a sweep begins and ends, then overlap by 5
+    // degrees.
+    const test::KittiDrive drive("odometry_order");
+    const fs::path folder = make_fresh_folder_path("odometry_order");
+    for (int frame = 0; frame < 3; ++frame) {
+        std::string bytes = test::read_text(drive.scan(frame));
+        const std::size_t last_point = bytes.size() - sizeof(glm::vec4);
+        for (std::size_t at = 0; at <= last_point; at += sizeof(glm::vec4)) {
+            glm::vec4 point;
+            std::memcpy(&point, bytes.data() + at, sizeof point);
+            const double turns = -std::atan2(double(point.y), double(point.x)) / (2.0 * kPi);
+            const Pose forward_from_firing{make_rotation(-0.09 * turns, 0, 0), {1.5 * turns, 0, 0}};
+            point = glm::vec4(glm::vec3(forward_from_firing * glm::dvec3(point)), point.w);
+            std::memcpy(bytes.data() + at, &point, sizeof point);
+        }
+        if (frame == 1) bytes += bytes.substr(0, sizeof(glm::vec4));  // a stray point after the last ring
+        test::write_text(folder / "scans" / fmt::format("{}.bin", frame), bytes);
+    }
+    test::write_text(folder / "sequence.json", test::make_head());
+    const Log log = load_log(folder.string(), {.poses_file = kNoPoses});
+    ASSERT_EQ(log.lidars[0].sensor.beams.size(), 64u);
+    // Points of the overlap can have the same ray.
+    EXPECT_GT(double(log.frames[0].scan.count_returns()), 0.98 * double(drive.n_points));
 }
 
 TEST(OtherPrograms, InventsNoBeamsForThinnedClouds) {
@@ -366,6 +412,68 @@ TEST(OtherPrograms, Float32TimesAndNegativeIntensities) {
         EXPECT_THAT(log.notes, testing::Contains(test::Names(note)));
 }
 
+/// Checks that a ray of each log has the same time after the first ray of its scan.
+void expect_times_after_first(const Log& log, const Log& street) {
+    for (std::size_t f = 0; f < street.frames.size(); ++f) {
+        const Scan &scan = log.frames[f].scan, &truth = street.frames[f].scan;
+        ASSERT_EQ(scan.range_m.size(), truth.range_m.size());
+        float first_s = INFINITY;
+        for (std::size_t i = 0; i < truth.range_m.size(); ++i)
+            if (truth.range_m[i] > 0.0f) first_s = std::min(first_s, truth.rays.time_offset_s[i]);
+        for (std::size_t i = 0; i < truth.range_m.size(); ++i)
+            if (truth.range_m[i] > 0.0f) {
+                ASSERT_NEAR(scan.rays.time_offset_s[i], truth.rays.time_offset_s[i] - first_s, 1e-6) << i;
+            }
+    }
+}
+
+TEST(OtherPrograms, NanosecondsAfterTheFirstPointOfOuster) {
+    const auto ply = [](const test::FilePoints& points) {
+        std::string bytes = fmt::format(
+            "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\n"
+            "property float z\nproperty float intensity\nproperty ushort ring\nproperty uint t\nend_header\n",
+            points.size());
+        const auto append = [&](const auto& value) {
+            bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
+        };
+        const double first_s = std::ranges::min(points, {}, &test::FilePoint::time_s).time_s;
+        for (const test::FilePoint& p : points) {
+            append(p.point_m);
+            append(p.intensity);
+            append(p.ring);
+            append(std::uint32_t(std::lround(1e9 * (p.time_s - first_s))));
+        }
+        return bytes;
+    };
+    const PointLog files("ouster_ply", "ply", ply, "");
+    const Log log = files.load();
+    expect_times_after_first(log, files.street);
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("read in ns ... \"time_unit\"")));
+    files.put_head(R"(, "time_unit": "us")");
+    EXPECT_THAT(test::find_load_error(files.folder.string()), test::Names("time ... \"time_unit\""));
+}
+
+TEST(OtherPrograms, NanosecondsSince1970) {
+    const auto npy = [](test::FilePoints points) {
+        for (test::FilePoint& p : points) p.time_s = 1e9 * (1.7e9 + p.time_s);
+        return test::npy(points);
+    };
+    const PointLog files("unix_ns", "npy", npy,
+                         R"(, "columns": ["x", "y", "z", "intensity", "ring", "timestamp"])");
+    expect_times_after_first(files.load(), files.street);
+}
+
+TEST(OtherPrograms, IgnoresUselessTimesOfSustechpoints) {
+    const auto pcd = [](test::FilePoints points) {
+        std::mt19937_64 random(5);
+        for (test::FilePoint& p : points) p.time_s = std::bit_cast<double>(random());
+        return test::make_pcd_binary(points);
+    };
+    const Log log = PointLog("sustech", "pcd", pcd, R"(, "intensity_max": 255)").load();
+    EXPECT_EQ(log.lidars[0].sensor.beams.size(), 16u);
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("times of points are ignored")));
+}
+
 TEST(OtherPrograms, PointsOfWrongTimeAreSkipped) {
     const auto late = [](test::FilePoints points) {
         for (std::size_t i = 0; i < 20; ++i) points[i].time_s += i % 2 == 0 ? 0.7 : 4.288;
@@ -393,6 +501,22 @@ TEST(OtherPrograms, NamesThePackedPointsOfNclt) {
     };
     const PointLog files("nclt", "bin", nclt, "");
     EXPECT_THAT(test::find_load_error(files.folder.string()), test::Names("NCLT ... uint16 ... laser"));
+}
+
+TEST(OtherPrograms, FindsTheCentreOfTheSensorOfNclt) {
+    // The points are in the frame of the body. Its Velodyne is 0.957 m above, and turned.
+    const PointLog files("nclt_body", "bin", test::bin, kRings);
+    const auto write = [&](const Pose& body_from_sensor) {
+        for (std::size_t i = 0; i < files.street.frames.size(); ++i)
+            files.change_points(i, [&](test::FilePoint& p) {
+                p.point_m = glm::vec3(body_from_sensor * glm::dvec3(p.point_m));
+            });
+        return test::find_load_error(files.folder.string());
+    };
+    EXPECT_THAT(write({make_rotation(0, 0, 0), {0, 0, 0.957}}),
+                test::Names("elevation ... (0.00, 0.00, 0.96) m ... 0.0 degrees ... vehicle_from_sensor"));
+    EXPECT_THAT(write({make_rotation(1.58, 0.0029, 0.0141), {0.05, -0.11, 0.957}}),
+                test::Names("elevation ... (0.05, -0.11, 0.96) m ... 0.8 degrees"));
 }
 
 }  // namespace

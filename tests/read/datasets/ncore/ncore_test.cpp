@@ -309,6 +309,21 @@ std::string from_hex(const std::string& hex) {
 }
 
 // Chunks that numcodecs 0.11 wrote: i / 7, with the codec lz4.
+TEST(Ncore, Zarr3IsRefused) {
+    const NcoreFolder data("zarr3");
+    for (const char* name : {".zgroup", ".zattrs"}) fs::remove(data.main / name);
+    NcoreFolder::write_json(data.main / "zarr.json", {{"zarr_format", 3}, {"node_type", "group"}});
+    data.expect_error("street.ncore4.zarr ... zarr 3 (zarr.json) ... zarr 2");
+    std::string archive = test::read_text(test::ncore_fixture("street.ncore4.zarr.itar"));
+    const std::string key(".zgroup\0\0", 9);
+    std::size_t header = archive.find(key);  // names are at the start of blocks of 512 bytes
+    while (header % 512 != 0) header = archive.find(key, header + 1);
+    archive.replace(header, key.size(), "zarr.json");
+    const fs::path file = data.folder / "other" / "street.ncore4.zarr.itar";
+    test::write_text(file, archive);
+    EXPECT_THAT(test::find_load_error(file.string()), test::Names("zarr 3 (zarr.json) ... zarr 2"));
+}
+
 TEST(Blosc, ChunksOfNumcodecs) {
     const std::string bits = from_hex(
         "02012402000400000004000096000000140000006e0000007f803fe00ff803fe0700267f00c0ff0f00fcff0700267f000000"
