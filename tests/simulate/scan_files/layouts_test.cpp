@@ -50,7 +50,8 @@ std::optional<double> hit_box(const Pose& box, const glm::dvec3& size_m, const g
 }
 
 /// Casts rays from 45 degrees left to `last_deg`, without a rolling shutter.
-RenderedScan cast_rays(double time_s, const Pose& rig_from_sensor, double last_deg) {
+RenderedScan cast_rays(double time_s, const Pose& rig_from_sensor, double last_deg,
+                       double ring_step_rad = 0.015) {
     RenderedScan scan;
     scan.time_s = time_s;
     scan.world_from_sensor = rig_pose(time_s) * rig_from_sensor;
@@ -59,7 +60,7 @@ RenderedScan cast_rays(double time_s, const Pose& rig_from_sensor, double last_d
     for (int r = 0; r < scan.image.rows; ++r)
         for (int c = 0; c < scan.image.columns; ++c) {
             const double azimuth = (45.0 - (45.0 - last_deg) * c / scan.image.columns) * kPi / 180.0,
-                         elevation = 0.1 - 0.015 * r;
+                         elevation = 0.1 - ring_step_rad * r;
             const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth),
                                std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
             const glm::dvec3 o = scan.world_from_sensor.translation,
@@ -89,6 +90,7 @@ class Layouts : public TemporaryFolder {
 protected:
     std::vector<DatasetSensor> sensors;
     std::vector<double> times_s;
+    double ring_step_rad = 0.015;
 
     void SetUp() override {
         TemporaryFolder::SetUp();
@@ -110,8 +112,8 @@ protected:
         for (DatasetSensor& sensor : sensors) sensor.options.sample = seed;
         DatasetSequenceWriter writer(folder, layout, sensors, times_s, replace);
         for (const double t : times_s) {
-            std::vector<RenderedScan> scans{cast_rays(t, Pose{}, -45.0)};
-            if (sensors.size() > 1) scans.push_back(cast_rays(t, kSecondMounting, -300.0));
+            std::vector<RenderedScan> scans{cast_rays(t, Pose{}, -45.0, ring_step_rad)};
+            if (sensors.size() > 1) scans.push_back(cast_rays(t, kSecondMounting, -300.0, ring_step_rad));
             writer.write_scans(scans);
         }
         writer.finish();
@@ -198,6 +200,10 @@ TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {
     EXPECT_THROW(write_sequence("nuscenes", 3), DataError) << "a truncated table";
 }
 
+/// With the usual step, the farthest ring is at 400.00 m, which readers take for rays
+/// without return.
+constexpr double kRingStep_rad = 0.02;
+
 using SortedPoints = std::set<std::array<float, 3>>;
 
 /// Returns the largest distance from a point of `a` to the nearest point of `b`. Compares
@@ -237,6 +243,7 @@ void expect_points(const Scan& scan, const std::filesystem::path& file) {
 
 TEST_F(Layouts, ReaderFindsBoxesAndPointsOfKitti) {
     sensors.resize(1);
+    ring_step_rad = kRingStep_rad;
     for (const std::uint64_t seed : {1, 2}) write_sequence("kitti", seed);
     EXPECT_EQ(detect_kind(folder), "kitti_tracking");
     const DatasetOptions options{.sequence = "1", .max_range_m = 1000.0};
@@ -268,6 +275,7 @@ TEST_F(Layouts, ReaderFindsBoxesAndPointsOfKitti) {
 
 TEST_F(Layouts, ReaderFindsPosesClassesAndPointsOfOpenlabel) {
     sensors.resize(1);
+    ring_step_rad = kRingStep_rad;
     write_sequence("openlabel", 0);
     const std::filesystem::path sequence = folder / "sequences/00";
     for (const bool is_complete : {true, false}) {

@@ -117,7 +117,7 @@ Log make_log(const std::string& name, const fs::path& source, const std::vector<
             "the dataset has no poses; they must be estimated from the scans, like with dataset.poses=none");
     for (std::size_t i = 0; i < frames.size(); ++i)
         add_frame(log, frames[i], kFrameStep_s * frames[i], poses.empty() ? Pose{} : poses[i]);
-    read::replace_poses(log, options.poses_file);
+    read::replace_poses(log, options);
     centre_log(log);
     return log;
 }
