@@ -107,6 +107,38 @@ void read_odometry(const Drive& drive, unsigned options) {
     load_log("kitti_odometry:" + drive.odometry.string(), to_dataset(options));
 }
 
+struct Tracking {
+    test::KittiDrive drive{"fuzz_tracking"};
+    fs::path folder = drive.file("tracking");
+    ChangedFiles files{write_files()};
+
+    std::vector<std::string> seeds() const { return files.seeds({0u, kAllFrames}, {kAllFrames, kNone}); }
+    std::vector<fs::path> write_files() const {
+        for (const char* part : {"velodyne/0000", "oxts", "label_02", "calib"})
+            fs::create_directories(folder / part);
+        std::string oxts, labels;
+        for (int frame = 0; frame < 3; ++frame) {
+            thin(drive.scan(frame));
+            fs::copy_file(drive.scan(frame), folder / "velodyne/0000" / fmt::format("{:06d}.bin", frame));
+            oxts += fmt::format("49 {} 110 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0\n",
+                                8.4 + 1e-5 * frame);
+            labels +=
+                fmt::format("{} 7 Car 0 0 -1.5 0 0 50 50 1.5 1.6 4 -2 1.7 {} -1.5\n", frame, 12 - frame);
+        }
+        put(folder / "oxts/0000.txt", oxts);
+        put(folder / "label_02/0000.txt", labels);
+        put(folder / "calib/0000.txt",
+            "R_rect 1 0 0 0 1 0 0 0 1\nTr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\n"
+            "Tr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n");
+        return {folder / "oxts/0000.txt", folder / "label_02/0000.txt", folder / "calib/0000.txt",
+                folder / "velodyne/0000/000000.bin"};
+    }
+};
+
+void read_tracking(const Tracking& tracking, unsigned options) {
+    load_log("kitti_tracking:" + tracking.folder.string(), to_dataset(options));
+}
+
 struct Kitti360 {
     test::Kitti360Folder log{"fuzz_360", 0};
     ChangedFiles files{thin_scans()};
@@ -150,7 +182,9 @@ Harness make_harness(const char* name) {
 /// Reading the full drive takes a hundred times as long as reading its texts.
 std::vector<Harness> list_drive_harnesses() {
     return {make_harness<Drive, read_drive_texts>("drive_texts"),
-            make_harness<Drive, read_all_frames>("drive"), make_harness<Drive, read_odometry>("odometry"),
+            make_harness<Drive, read_all_frames>("drive"),
+            make_harness<Drive, read_odometry>("odometry"),
+            make_harness<Tracking, read_tracking>("tracking"),
             make_harness<Kitti360, read_kitti_360_texts>("kitti360_texts"),
             make_harness<Kitti360, read_kitti_360>("kitti360")};
 }

@@ -79,11 +79,7 @@ void add_track_label(const std::string& line, const std::string& where, const Lo
              quote(line));
     const auto match = std::ranges::lower_bound(log.frames, *number, {}, &Frame::index);
     if (match == log.frames.end() || match->index != *number) return;
-    BoxLabel label{.id = track,
-                   .category = type,
-                   .size_m = {(*v)[9], (*v)[8], (*v)[7]},
-                   .time_s = match->time_s,
-                   .world_from_box = {}};
+    BoxLabel label{track, type, {(*v)[9], (*v)[8], (*v)[7]}, match->time_s, {}};
     const double angle = (*v)[13];
     const glm::dvec3 forward = velo_from_camera.rotation * glm::dvec3(std::cos(angle), 0.0, -std::sin(angle)),
                      bottom = velo_from_camera * glm::dvec3((*v)[10], (*v)[11], (*v)[12]);
@@ -194,7 +190,8 @@ Log load_kitti_object(const fs::path& folder, const DatasetOptions& options) {
     }
     Log log = make_log("KITTI object " + split.filename().string(), folder, frames, poses, options);
     note_missing_scans(log, points, frames, options.allow_missing_scans);
-    log.notes.push_back("the labels of this layout have no track ids, so no boxes are read");
+    if (does_path_exist(split / "label_2"))
+        log.notes.push_back("the labels of this layout have no track ids, so no boxes are read");
     // View-of-Delft moves the points.
     read_kitti_sweeps(log, points, options, /*hdl64_is_moved=*/does_path_exist(split / "pose"));
     return log;
