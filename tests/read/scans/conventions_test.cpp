@@ -81,8 +81,8 @@ PointLog change_times(const std::string& name, double factor, double added_s) {
 
 TEST(Conventions, TimesOfPoints) {
     const PointLog files = change_times("set_times", 1000.0, 0.0);
-    const Log log = files.load(
-        with({.time_unit = Conventions::TimeUnit::ms, .time_zero = Conventions::TimeZero::clock}));
+    const Log log =
+        files.load(with({.time_unit = Conventions::TimeUnit::ms, .time_zero = Conventions::TimeZero::clock}));
     const test::Difference worst = test::measure_difference(log, files.street);
     EXPECT_LT(worst.point_m, 1e-4);
     EXPECT_LT(worst.time_s, 1e-6);
@@ -157,9 +157,9 @@ TEST(Conventions, Boxes) {
 
 TEST(Conventions, ASettingWithoutEffectIsAnError) {
     const PointLog files("set_nothing", "bin", test::bin, test::kRings);
-    EXPECT_THAT(test::find_load_error(files.folder.string(),
-                                      with({.quaternions = Conventions::Quaternions::xyzw})),
-                test::Names("conventions.quaternions ... no effect ... auto"));
+    EXPECT_THAT(
+        test::find_load_error(files.folder.string(), with({.quaternions = Conventions::Quaternions::xyzw})),
+        test::Names("conventions.quaternions ... no effect ... auto"));
 }
 
 }  // namespace
