@@ -222,8 +222,7 @@ constexpr Check kChecks[] = {
      "all intensities of the log are {:.4g} of the maximum, so rendered intensities have no meaning"},
     {"dark", test_dark,
      "the scale of the intensities is probably wrong: they reach only {:.3g} of the maximum, so all returns "
-     "are very dark; the key \"intensity_max\" in the sequence.json of a plain folder sets the scale, and "
-     "'relidar convert' writes other logs as such a folder"},
+     "are very dark; conventions.intensity_max sets the intensity that becomes 1"},
     {"saturated", test_saturated,
      "the scale of the intensities is probably wrong: {:.0f} % of the returns have the maximum intensity"},
     {"own_body", test_own_body, "{}"},

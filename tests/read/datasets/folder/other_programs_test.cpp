@@ -91,10 +91,10 @@ TEST(OtherPrograms, NotesDarkIntensitiesOfRellis) {
         for (const test::FilePoint& p : PointLog::points(frame)) highest = std::max(highest, p.intensity);
     for (std::size_t i = 0; i < files.street.frames.size(); ++i)
         files.change_points(i, [&](test::FilePoint& p) { p.intensity *= 0.0119f / highest; });
-    const auto dark = testing::Contains(test::Names("0.0119 ... \"intensity_max\" ... sequence.json"));
-    EXPECT_THAT(files.load().notes, dark);
-    files.put_head(std::string(kRings) + R"(, "intensity_max": 0.0119)");
-    EXPECT_THAT(files.load().notes, testing::Not(testing::Contains(test::Names("intensit"))));
+    EXPECT_THAT(files.load().notes,
+                testing::Contains(test::Names("0.0119 ... dark ... conventions.intensity_max")));
+    EXPECT_THAT(files.load({.conventions = {.intensity_max = 0.0119}}).notes,
+                testing::Not(testing::Contains(test::Names("intensit"))));
 }
 
 TEST(OtherPrograms, NamesTheToolForOtherFormats) {
@@ -448,7 +448,10 @@ TEST(OtherPrograms, NanosecondsAfterTheFirstPointOfOuster) {
     const PointLog files("ouster_ply", "ply", ply, "");
     const Log log = files.load();
     expect_times_after_first(log, files.street);
-    EXPECT_THAT(log.notes, testing::Contains(test::Names("read in ns ... \"time_unit\"")));
+    const auto unit = std::ranges::find(log.conventions_used, "unit of point times", &UsedConvention::name);
+    ASSERT_NE(unit, log.conventions_used.end());
+    EXPECT_EQ(unit->value, "ns");
+    EXPECT_THAT(unit->from, testing::StartsWith("guess: "));
     files.put_head(R"(, "time_unit": "us")");
     EXPECT_THAT(test::find_load_error(files.folder.string()), test::Names("time ... \"time_unit\""));
 }
@@ -503,20 +506,20 @@ TEST(OtherPrograms, NamesThePackedPointsOfNclt) {
     EXPECT_THAT(test::find_load_error(files.folder.string()), test::Names("NCLT ... uint16 ... laser"));
 }
 
-TEST(OtherPrograms, FindsTheCentreOfTheSensorOfNclt) {
-    // The points are in the frame of the body. Its Velodyne is 0.957 m above, and turned.
-    const PointLog files("nclt_body", "bin", test::bin, kRings);
-    const auto write = [&](const Pose& body_from_sensor) {
+TEST(OtherPrograms, FindsTheSensorOfPointsInAnotherFrame) {
+    const PointLog files("body_frame", "bin", test::bin, kRings);
+    const auto expect_note = [&](const Pose& body_from_sensor, const std::string& parts) {
         for (std::size_t i = 0; i < files.street.frames.size(); ++i)
             files.change_points(i, [&](test::FilePoint& p) {
                 p.point_m = glm::vec3(body_from_sensor * glm::dvec3(p.point_m));
             });
-        return test::find_load_error(files.folder.string());
+        EXPECT_THAT(files.load().notes, testing::Contains(test::Names(parts)));
     };
-    EXPECT_THAT(write({make_rotation(0, 0, 0), {0, 0, 0.957}}),
-                test::Names("elevation ... (0.00, 0.00, 0.96) m ... 0.0 degrees ... vehicle_from_sensor"));
-    EXPECT_THAT(write({make_rotation(1.58, 0.0029, 0.0141), {0.05, -0.11, 0.957}}),
-                test::Names("elevation ... (0.05, -0.11, 0.96) m ... 0.8 degrees"));
+    // NCLT stores points in the frame of the body, 0.957 m below the Velodyne.
+    expect_note({make_rotation(1.58, 0.0, 0.05), {0.002, -0.004, 0.957}},
+                "elevation ... (0.00, 0.00, 0.96) m ... 2.9 degrees ... vehicle_from_sensor");
+    expect_note({make_rotation(0.3, -0.06, 0.0), {1.25, -0.4, 2.5}},
+                "elevation ... (1.25, -0.40, 2.50) m ... 3.4 degrees");
 }
 
 }  // namespace
