@@ -151,8 +151,9 @@ TEST(KittiRaw, PosesFileInTumOrder) {
         const Pose pose = log.world_from_vehicle.pose[2];
         EXPECT_NEAR(glm::distance(pose.rotation * glm::dvec3(1, 0, 0), glm::dvec3(0, 1, 0)), 0.0, 1e-6);
         EXPECT_NEAR(glm::distance(pose.translation + log.world_offset_m, glm::dvec3(5, 1.6, 0)), 0.0, 0.1);
-        const auto is_note = [](const std::string& note) { return note.find("qx qy qz qw") != note.npos; };
-        EXPECT_EQ(std::ranges::any_of(log.notes, is_note), order[0] == '0' && order[2] == '0');
+        const auto used = std::ranges::find(log.conventions_used, "quaternions", &UsedConvention::name);
+        ASSERT_NE(used, log.conventions_used.end());
+        EXPECT_EQ(used->value, order[0] == '0' && order[2] == '0' ? "x y z w" : "w x y z");
     }
 }
 

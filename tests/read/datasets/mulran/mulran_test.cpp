@@ -80,7 +80,10 @@ TEST(Mulran, BrightPointsAreCut) {
     bytes.replace(12, 4, reinterpret_cast<const char*>(&bright), 4);
     test::write_text(data.scan(1), bytes);
     const Log log = data.load();
-    EXPECT_THAT(log.notes, testing::Contains(test::Names("6000 ... 200 ... 99.5th")));
+    const auto used = std::ranges::find(log.conventions_used, "intensity", &UsedConvention::name);
+    ASSERT_NE(used, log.conventions_used.end());
+    EXPECT_EQ(used->value, "0 to 200");
+    EXPECT_THAT(used->from, test::Names("6000 ... 99.5th"));
 }
 
 TEST(Mulran, SaysWhichFileAndLineIsWrong) {
