@@ -72,6 +72,7 @@ public:
         add_lidars();
         add_frames();
         read::ScanLayout layout{.motion_compensated = is_deskewed_ && !has_poses_};
+        layout.declared_by = is_deskewed_ ? "relidar, which wrote the file" : "usual";
         for (std::size_t l = 0; l < log_.lidars.size(); ++l) {
             layout.lidars.push_back({.has_beams = !log_.lidars[l].sensor.beams.empty()});
             if (!lidars_[l].units.is_deskewed) continue;
