@@ -13,8 +13,8 @@
 #include <relidar/run/stage_options.hpp>
 
 #include "base/fail.hpp"
-#include "train/reports/iteration_reports.hpp"
 #include "train/poses/register_options.hpp"
+#include "train/reports/iteration_reports.hpp"
 
 namespace relidar {
 

@@ -13,11 +13,11 @@
 
 #include "base/random.hpp"
 #include "train/drops/drop_excess.hpp"
-#include "train/frames/sensor_drop.hpp"
 #include "train/frames/batch.hpp"
+#include "train/frames/sensor_drop.hpp"
 #include "train/frames/training_frames.hpp"
-#include "train/reports/iteration_reports.hpp"
 #include "train/poses/pose_refiner.hpp"
+#include "train/reports/iteration_reports.hpp"
 
 namespace relidar {
 

@@ -168,7 +168,7 @@ LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic
         topic.samples.emplace(entry.message_position, samples.back());
     });
     topic.units = read::estimate_cloud_units(samples, stamps_s, cloud_period_s, set);
-    if (set.intensity_max > 0.0) topic.units.fields.scale = {set.intensity_max, true, kFromSetting};
+    topic.units.fields.scale = read::choose_scale(topic.units.fields.scale, set);
     return topic;
 }
 

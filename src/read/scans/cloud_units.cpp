@@ -299,6 +299,10 @@ void list_times(Log& log, const PointCloudUnits& units, const Conventions& set, 
                      "conventions.time_zero"});
 }
 
+IntensityScale choose_scale(const IntensityScale& other, const Conventions& set) {
+    return set.intensity_max > 0.0 ? IntensityScale{set.intensity_max, true, kFromSetting} : other;
+}
+
 void list_scale(Log& log, const IntensityScale& scale, const std::string& lidar) {
     list_convention(log, {"intensity" + lidar, fmt::format("0 to {:.4g}", scale.max), scale.reason,
                           "conventions.intensity_max"});
@@ -358,8 +362,8 @@ void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files,
     if (units.intensity_max) fields.scale = {*units.intensity_max, true, declared_by};
     else if (fields.scale.is_sure && fields.scale.max > 1.0) units.intensity_max = fields.scale.max;
     else fields.scale.max = 1.0;
-    if (set.intensity_max > 0.0)
-        fields.scale = {*(units.intensity_max = set.intensity_max), true, kFromSetting};
+    if (set.intensity_max > 0.0) units.intensity_max = set.intensity_max;
+    fields.scale = choose_scale(fields.scale, set);
     list_scale(log, fields.scale, "");
     log.notes.insert(log.notes.end(), fields.notes.begin(), fields.notes.end());
 }

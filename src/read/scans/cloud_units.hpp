@@ -42,6 +42,8 @@ PointCloudUnits estimate_cloud_units(const std::vector<PointTable>& clouds,
 /// Lists the conventions of the times of points.
 /// @param lidar  empty, or the name of one of several LiDARs
 void list_times(Log& log, const PointCloudUnits& units, const Conventions& set, const std::string& lidar);
+/// Returns the scale that the user has set, or else `other`.
+IntensityScale choose_scale(const IntensityScale& other, const Conventions& set);
 /// Lists the scale of the intensities. Adds a note if it is not sure.
 void list_scale(Log& log, const IntensityScale& scale, const std::string& lidar);
 

@@ -220,12 +220,13 @@ public:
             }
         return samples;
     }
-    /// Estimates the scale of the intensities.
-    read::IntensityScale set_scale(const std::vector<LidarPoints>& samples) {
+    /// Sets the scale of the intensities: that of the user, or an estimate.
+    read::IntensityScale set_scale(const std::vector<LidarPoints>& samples, const Conventions& set) {
         std::vector<double> intensities;
         for (const LidarPoints& points : samples)
             intensities.insert(intensities.end(), points.intensity.begin(), points.intensity.end());
-        const read::IntensityScale scale = read::estimate_scale(std::move(intensities));
+        const read::IntensityScale scale =
+            read::choose_scale(read::estimate_scale(std::move(intensities)), set);
         units_.intensity_max = scale.max;
         return scale;
     }
@@ -253,7 +254,7 @@ void read_kitti_sweeps(Log& log, const std::filesystem::path& scan_folder, const
         log.rolling_shutter = !hdl64_is_moved;
         return read_hdl64_sweeps(log, scan_folder, scans.digits(), options, label_folder);
     }
-    read::list_scale(log, scans.set_scale(samples), "");
+    read::list_scale(log, scans.set_scale(samples, options.conventions), "");
     log.lidars[0].sensor.max_range_m = options.max_range_m;
     DatasetOptions scan_options = options;
     if (!log.has_poses) scan_options.poses_file = kNoPoses;
