@@ -79,7 +79,9 @@ public:
             layout.motion_compensated = true;
             layout.declared_by = "guess: all points of a scan have the same time";
         }
-        read::apply_conventions(log_, layout, set);
+        // The formats of packets define these conventions.
+        const auto has_clouds = [&](std::size_t topic) { return survey_.clouds[topic].packets.empty(); };
+        if (std::ranges::any_of(clouds_.lidars, has_clouds)) read::apply_conventions(log_, layout, set);
         DatasetOptions options = options_;
         if (!log_.has_poses) options.poses_file = kNoPoses;
         LidarPoseFunction deskewed_by;  // empty: the points are not compensated, or it cannot be undone
