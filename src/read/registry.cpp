@@ -9,6 +9,7 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
@@ -333,6 +334,18 @@ const DatasetKind& kind_of_path(const std::string& dataset, const std::string& r
     return reader;
 }
 
+/// Adds a note that names the conventions that are guesses.
+void note_guesses(Log& log) {
+    std::vector<std::string> guesses;
+    for (const UsedConvention& used : log.conventions_used)
+        if (used.from.starts_with("guess: ")) guesses.push_back(used.name + " " + used.value);
+    if (!guesses.empty())
+        log.notes.push_back({kGuessesNote, -1,
+                             fmt::format("these conventions are guesses: {}; `relidar info` tells why, and "
+                                         "which settings change them",
+                                         fmt::join(guesses, ", "))});
+}
+
 /// Estimates two values for each frame: the start of the sweep, and how much the head
 /// azimuths deviate from even rotation.
 void estimate_sweeps(Log& log) {
@@ -412,6 +425,7 @@ Log load_log(const std::string& dataset, const DatasetOptions& options) {
     read::check_settings_used(log, options.conventions);
     checks::remove_ego_boxes(log);
     checks::note_faults(log);
+    note_guesses(log);
     return log;
 }
 

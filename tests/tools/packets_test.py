@@ -214,7 +214,7 @@ def test_ousters():
         expect(np.abs(np.array(step) - 0.1).max() < 1e-6, f"{name}: frames {step} s apart")
         if moves:   # two rotations by 180 degrees leave x unchanged
             poses = np.loadtxt(folder / "poses.txt")
-            expect(names(notes, "poses ... 'base_link' ... 'map'") and "/ouster/points" in notes, f"{name}: {notes}")
+            expect(names(run("info", bag), "vehicle poses ... 'base_link' in 'map', /tf") and "/ouster/points" in notes, f"{name}: {notes}")
             expect(np.abs(np.diff(poses[:, 1]) - 0.5).max() < 1e-3 and np.abs(np.abs(poses[:, 4]) - 1).max() < 1e-6, f"{name}: {poses}")
 
 

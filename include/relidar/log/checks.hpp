@@ -6,6 +6,9 @@
 
 namespace relidar {
 
+/// Id of the note that names the conventions that are guesses.
+inline constexpr const char* kGuessesNote = "guesses";
+
 /// Checks that a log can be used, for example that times ascend, numbers are finite and
 /// arrays have equal lengths. load_log() calls this function.
 /// @throws DataError naming the frame or box, the field and the value

@@ -8,6 +8,7 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/log/checks.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "console.hpp"
@@ -291,7 +292,9 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
 }  // namespace
 
 LogSummary summarise_log(const Log& log, const InitOptions& options) {
-    LogSummary summary{log, {log.notes.begin(), log.notes.end()}};
+    LogSummary summary{log, {}};
+    for (const Note& note : log.notes)
+        if (note.id != kGuessesNote) summary.notes.push_back(note.text);  // the table has the guesses
     for (std::size_t i = 0; i < log.lidars.size(); ++i)
         summary.lidars.push_back(summarise_lidar(log, int(i)));
     summary.path_m = path_length_m(log.world_from_vehicle);
