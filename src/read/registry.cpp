@@ -417,7 +417,7 @@ Log load_log(const std::string& dataset, const DatasetOptions& options) {
     // limits are applied after far markers are removed, because a far marker is not a
     // maximum range.
     if (!options.lidars.empty()) keep_lidars(log, options.lidars);
-    read::fix_inverted_poses(log, options.conventions);
+    if (options.poses_file != kNoPoses) read::fix_inverted_poses(log, options.conventions);
     estimate_sweeps(log);
     remove_drop_markers(log);
     apply_range_limits(log, {options.min_range_m, options.max_range_m});

@@ -284,6 +284,23 @@ def test_shared_topics():
     expect(names(notes, "1 clouds ... 'odd'"), notes)
 
 
+def test_conventions():
+    """Inverse transforms above a mounting, and an unclear clock: right only with the setting."""
+    messages = log()
+    for topic, _, _, body in messages:
+        if topic == "/tf":
+            place = body["transforms"][0]["transform"]["position"]
+            place["x"] = -place["x"]
+    bag = written("inverse", messages)
+    check(bag, "conventions.poses=sensor_from_world")
+    heights = np.loadtxt(WORK / "inverse.mcap.log" / "poses.txt")[:, 3]
+    expect(np.abs(heights - 1.8).max() < 1e-6, f"heights {heights}, expected that of the mounting")
+    expect(names(run("info", bag, "--set", "conventions.poses=sensor_from_world"), "poses ... sensor from world ... setting"), "the table")
+    unclear = written("unclear", log(ahead_ns=1_200_000_000, start_s=-3, end_s=3))
+    check(unclear, "conventions.clock_offset_s=1.2")
+    expect(names(run("info", unclear, "--set", "conventions.clock_offset_s=1000", code=3), "no ... pose"), "a wrong offset")
+
+
 def test_split():
     """The second part of a split bag has no /tf_static. The poses in /tf then count for the LiDAR."""
     wheels = lambda stamp, t: [transform(stamp, "base", f"wheel_{i}", (0, 0, 0), t) for i in range(2)]
@@ -441,4 +458,4 @@ def test_frames_of_chunks():
 
 run_tests(test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
           test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames, test_shared_topics, test_zstd,
-          test_frames_of_chunks, test_split, test_row_steps, test_wide_integers, test_unknown_intensities, test_paths, test_unused_topics, programs=("lz4", "zstd"))
+          test_frames_of_chunks, test_split, test_conventions, test_row_steps, test_wide_integers, test_unknown_intensities, test_paths, test_unused_topics, programs=("lz4", "zstd"))

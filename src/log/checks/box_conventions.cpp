@@ -276,7 +276,7 @@ void correct_boxes(Log& log, const Conventions& set) {
                                      "mirrored in the world",
                                      "mirrored in the vehicle"};
     const auto list = [&](const char* name, const char* value, bool is_set, const char* key) {
-        log.conventions_used.push_back({name, value, is_set ? kFromSetting : "usual", key});
+        log.conventions_used.push_back({name, value, is_set ? kFromSetting : "default", key});
     };
     list("box positions", set.box_origin == Origin::bottom ? "bottom side" : "centre",
          set.box_origin != Origin::automatic, "conventions.box_origin");

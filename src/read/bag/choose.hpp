@@ -92,6 +92,7 @@ struct ChosenPoses {
     std::string description;  ///< text about the selected source for the user
     std::string clock_note;   ///< text about an offset between clouds and poses that is not corrected
     std::vector<UsedConvention> conventions;  ///< of the poses
+    bool is_inverse = false;                  ///< true: the recording has the inverse of the poses
     std::vector<std::string> notes;
 };
 /// Selects the source of the vehicle poses and the clock of the log.

@@ -91,11 +91,17 @@ std::string explain_no_clouds(const BagRecording& bag, const BagIndex& index,
 }
 
 /// Returns the rank of the kind of clouds: packets, then clouds with times of points,
-/// with rings, and others. The first kinds contain more of the sensor's data.
+/// with rings, and others. Of each kind, clouds whose intensities are rounded to a byte
+/// are second. The first kinds contain more of the sensor's data.
 int rank_kind(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 0;
-    if (clouds.has_field(read::PointAttribute::time)) return 1;
-    return clouds.has_field(read::PointAttribute::ring) ? 2 : 3;
+    const bool is_rounded = std::ranges::any_of(clouds.fields, [](const CloudMessage::CloudField& field) {
+        return read::find_attribute(field.name) == read::PointAttribute::intensity && field.size == 1;
+    });
+    const int kind = clouds.has_field(read::PointAttribute::time)   ? 1
+                     : clouds.has_field(read::PointAttribute::ring) ? 3
+                                                                    : 5;
+    return kind + int(is_rounded);
 }
 
 bool is_in_sensor_frame(const CloudTopic& cloud_topic) {

@@ -219,6 +219,7 @@ void set_path(ChosenPoses& choice, const BagIndex& index, const PoseSource& sour
     if (source.topic)
         choice.path.emplace().append_samples(source.topic->samples, choice.clock, poses_zero_ns);
     else choice.path = index.frames.make_chain(source.world, source.posed_frame, choice.clock, poses_zero_ns);
+    if (choice.is_inverse) choice.path->invert();
 }
 
 /// Returns the number of clouds at whose times the pose of the vehicle is known.
@@ -333,6 +334,11 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     choice.vehicle = source->vehicle;
     choice.description = source->description;
     // Sets the poses on this clock. If theirs differs, shifts them or changes the clock.
+    if (options.conventions.poses != Conventions::Poses::automatic && options.poses_file.empty()) {
+        choice.is_inverse = options.conventions.poses == Conventions::Poses::sensor_from_world;
+        choice.conventions.push_back({"poses", choice.is_inverse ? "sensor from world" : "world from sensor",
+                                      kFromSetting, "conventions.poses"});
+    }
     set_path(choice, index, *source, choice.zero_ns);
     if (options.poses_file.empty()) {
         const Conventions& set = options.conventions;
@@ -342,11 +348,10 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
              requested.empty() ? "guess: the usual topics" : kFromSetting, "dataset.poses_from"});
         const bool is_wxyz = set.quaternions == Conventions::Quaternions::wxyz;
         if (source->topic)
-            choice.conventions.push_back({"quaternions", is_wxyz ? "w x y z" : "x y z w",
-                                          set.quaternions == Conventions::Quaternions::automatic
-                                              ? "type of the messages"
-                                              : kFromSetting,
-                                          "conventions.quaternions"});
+            choice.conventions.push_back(
+                {"quaternions", is_wxyz ? "w x y z" : "x y z w",
+                 set.quaternions == Conventions::Quaternions::automatic ? read::kFromMessages : kFromSetting,
+                 "conventions.quaternions"});
         correct_pose_clock(choice, index, main_lidar_clouds, *source, read::read_clock_offset_s(set));
     }
     try_recorder_clock(choice, index, main_lidar_clouds, *source);

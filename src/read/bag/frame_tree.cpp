@@ -47,7 +47,7 @@ Pose TransformChain::compute_pose_at(double t_s) const {
     Pose pose;
     for (const PoseTrack& link : links_)
         pose = pose * (link.pose.size() == 1 ? link.pose[0] : link.pose_at(t_s));
-    return pose;
+    return is_inverse_ ? inverse(pose) : pose;
 }
 
 bool TransformChain::covers_time(double t_s) const {

@@ -71,17 +71,20 @@ public:
         group_clouds();
         add_lidars();
         add_frames();
-        read::ScanLayout layout{.motion_compensated = is_deskewed_ && !has_poses_};
-        layout.declared_by = is_deskewed_ ? "relidar, which wrote the file" : "usual";
+        read::ScanLayout layout{.motion_compensated = is_deskewed_};
+        layout.declared_by = "relidar, which wrote the file";
+        layout.is_deskew_declared = is_deskewed_;
         for (std::size_t l = 0; l < log_.lidars.size(); ++l) {
             layout.lidars.push_back({.has_beams = !log_.lidars[l].sensor.beams.empty()});
             if (!lidars_[l].units.is_deskewed) continue;
             layout.motion_compensated = true;
             layout.declared_by = "guess: all points of a scan have the same time";
+            layout.is_deskew_declared = true;
         }
         // The formats of packets define these conventions.
         const auto has_clouds = [&](std::size_t topic) { return survey_.clouds[topic].packets.empty(); };
         if (std::ranges::any_of(clouds_.lidars, has_clouds)) read::apply_conventions(log_, layout, set);
+        if (is_deskewed_ && has_poses_) layout.motion_compensated = false;  // BagScans undoes it
         DatasetOptions options = options_;
         if (!log_.has_poses) options.poses_file = kNoPoses;
         LidarPoseFunction deskewed_by;  // empty: the points are not compensated, or it cannot be undone
@@ -163,6 +166,14 @@ private:
         if (has_poses_) {
             add_note(poses_.clock_note);
             for (UsedConvention& used : poses_.conventions) read::list_convention(log_, std::move(used));
+            // Poses that contain a mounting cannot be inverted later.
+            const std::optional<Pose> mounting =
+                survey_.frames.find_constant(poses_.vehicle, main_topic().frame);
+            if (options_.conventions.poses == Conventions::Poses::automatic && clouds_.lidars.size() == 1 &&
+                mounting &&
+                (mounting->translation != glm::dvec3(0.0) || std::abs(mounting->rotation.w) != 1.0))
+                read::list_convention(
+                    log_, {"poses", "world from sensor", read::kFromMessages, "conventions.poses"});
         }
         for (const std::string& frame : survey_.frames.ambiguous_frames())
             add_note(fmt::format(

@@ -47,6 +47,8 @@ struct PoseJump {
 class TransformChain {
 public:
     void append_constant(Pose transform) { links_.push_back({{0.0}, {transform}}); }
+    /// The recorded transforms are the inverse of the pose.
+    void invert() { is_inverse_ = !is_inverse_; }
     /// Appends a transform that changes over time.
     /// @param pose_samples  in any order
     /// @param origin_ns  time in nanoseconds at which the time of the log is 0 s
@@ -62,6 +64,7 @@ public:
 private:
     /// From the ancestor down to the child. A constant transform has a single sample.
     std::vector<PoseTrack> links_;
+    bool is_inverse_ = false;
 };
 
 /// Pose of a source frame in a target frame as a function of time: the poses of both in

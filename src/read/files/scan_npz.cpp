@@ -212,7 +212,7 @@ float frame_offset_s(double file_value, const PointFileUnits& units, double fram
     if (!(std::abs(offset_s) <= kMaxTimeOffset_s))
         fail(
             "{}: the time {} is {} s away from the time of the frame, expected at most {} s; check the unit "
-            "and the start of the times of points (\"time_unit\" and \"point_times\" in sequence.json)",
+            "and the start of the times of points (conventions.time_unit and conventions.time_zero)",
             where, file_value, offset_s, kMaxTimeOffset_s);
     return float(offset_s);
 }

@@ -293,10 +293,11 @@ void list_times(Log& log, const PointCloudUnits& units, const Conventions& set, 
                     {"unit of point times" + lidar, unit->name,
                      set.time_unit != Conventions::TimeUnit::automatic ? kFromSetting : units.time_reason,
                      "conventions.time_unit"});
-    list_convention(log,
-                    {"zero of point times" + lidar, kReferenceTexts[std::size_t(units.time_reference)],
-                     set.time_zero != Conventions::TimeZero::automatic ? kFromSetting : units.time_reason,
-                     "conventions.time_zero"});
+    list_convention(log, {"zero of point times" + lidar, kReferenceTexts[std::size_t(units.time_reference)],
+                          set.time_zero != Conventions::TimeZero::automatic ? kFromSetting
+                          : units.time_reason.starts_with("guess: ")        ? "guess: times of some scans"
+                                                                            : units.time_reason,
+                          "conventions.time_zero"});
 }
 
 IntensityScale choose_scale(const IntensityScale& other, const Conventions& set) {
@@ -319,22 +320,26 @@ void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files,
     std::vector<PointTable> samples = sample_tables(scan_files, units.columns, frames);
     std::vector<double> frame_times_s;  // [samples]
     for (const std::size_t frame : frames) frame_times_s.push_back(log.frames[frame].time_s);
-    if (set.time_unit != Conventions::TimeUnit::automatic) {
-        units.time_unit_s = kTimeUnits[std::size_t(set.time_unit) - 1].seconds;
-        units.is_unit_open = false;
+    const bool sets_unit = set.time_unit != Conventions::TimeUnit::automatic,
+               sets_zero = set.time_zero != Conventions::TimeZero::automatic;
+    std::string time_reason = units.is_unit_open ? "default" : declared_by;
+    if (!samples.empty()) {  // Times in images of rays have one unit.
+        if (sets_unit) units.time_unit_s = kTimeUnits[std::size_t(set.time_unit) - 1].seconds;
+        if (sets_zero) {
+            units.absolute_times = set.time_zero != Conventions::TimeZero::stamp;
+            units.starts_at_frame = set.time_zero == Conventions::TimeZero::first_point;
+            units.is_reference_open = false;
+        }
+        const bool is_open = sets_unit ? units.is_reference_open : units.is_unit_open;
+        if (is_open && !are_times_plausible(units, samples, frame_times_s)) {
+            const PointCloudUnits estimate =
+                estimate_cloud_units(samples, frame_times_s, estimate_sweep_s(log, 0), set);
+            time_reason = estimate.time_reason;
+            set_time_units(units, estimate, log.notes);
+        }
     }
-    if (set.time_zero != Conventions::TimeZero::automatic) {
-        units.absolute_times = set.time_zero != Conventions::TimeZero::stamp;
-        units.starts_at_frame = set.time_zero == Conventions::TimeZero::first_point;
-        units.is_reference_open = false;
-    }
-    std::string time_reason = units.is_unit_open ? "usual" : declared_by;
-    if (units.is_unit_open && !are_times_plausible(units, samples, frame_times_s)) {
-        const PointCloudUnits estimate =
-            estimate_cloud_units(samples, frame_times_s, estimate_sweep_s(log, 0), set);
-        time_reason = estimate.time_reason;
-        set_time_units(units, estimate, log.notes);
-    }
+    const bool has_times = std::ranges::any_of(
+        samples, [](const PointTable& table) { return find_time_range(table).has_value(); });
     for (PointTable& cloud : samples) unwrap_times(cloud, /*are_offsets=*/!units.absolute_times);
     PointFieldSemantics fields = interpret_fields(samples);
     if (samples.empty()) {  // The log has range images instead of points.
@@ -342,8 +347,7 @@ void fill_units(PointFileUnits& units, const std::vector<fs::path>& scan_files,
         fields.scale = estimate_scale(list_values(samples, "intensity"));
     }
     if (!units.ignore_times) drop_coarse_times(units, samples, log.notes);
-    if (!units.ignore_times &&
-        std::ranges::any_of(samples, [](const PointTable& t) { return find_time_range(t).has_value(); })) {
+    if (!units.ignore_times && has_times) {
         const PointTimeReference reference = units.starts_at_frame  ? PointTimeReference::sensor_clock
                                              : units.absolute_times ? PointTimeReference::epoch
                                                                     : PointTimeReference::stamp;

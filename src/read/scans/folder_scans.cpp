@@ -280,10 +280,10 @@ private:
         if (layout_.motion_compensated && may_undo_motion_ && !has_times)
             plans_[l].firings = plan_firings(std::move(sweeps), sensor);
         // sequence.json may lack the flag.
-        else if (layout_.is_described && !layout_.motion_compensated && !has_times)
+        else if (layout_.is_described && !layout_.motion_compensated && !layout_.is_deskew_set && !has_times)
             plans_[l].unmarked_firings = plan_firings(std::move(sweeps), sensor);
         // The times are stored, but the points may have been moved without notice.
-        if (!layout_.motion_compensated && has_times && has_poses_)
+        if (!layout_.motion_compensated && !layout_.is_deskew_set && has_times && has_poses_)
             plans_[l].moved_to_s = find_moved_time(sweeps, *sensor.world_from_sensor);
         for (auto& [frame_index, points] : samples) restore(frame_index, points);
     }
@@ -370,16 +370,15 @@ void apply_conventions(Log& log, ScanLayout& layout, const Conventions& set) {
     const bool sets_deskew = set.deskew != Conventions::Deskew::automatic,
                sets_rings = set.rings != Conventions::Rings::automatic;
     if (sets_deskew) layout.motion_compensated = set.deskew == Conventions::Deskew::deskewed;
+    layout.is_deskew_set = sets_deskew;
     list_convention(log, {"points", layout.motion_compensated ? "motion-compensated" : "raw",
-                          sets_deskew ? kFromSetting : layout.declared_by, "conventions.deskew"});
-    bool has_beams = false;
-    for (LidarScanLayout& lidar : layout.lidars) {
+                          sets_deskew                 ? kFromSetting
+                          : layout.is_deskew_declared ? layout.declared_by
+                                                      : "default",
+                          "conventions.deskew"});
+    for (LidarScanLayout& lidar : layout.lidars)
         if (sets_rings) lidar.lowest_first = set.rings == Conventions::Rings::lowest_first;
-        has_beams = has_beams || lidar.has_beams;
-    }
-    if (has_beams)
-        list_convention(log, {"ring 0", layout.lidars[0].lowest_first ? "lowest beam" : "highest beam",
-                              sets_rings ? kFromSetting : layout.declared_by, "conventions.rings"});
+    layout.are_rings_set = sets_rings;
 }
 
 void read_scans(Log& log, const ScanLayout& layout, const ScanProvider& scan_provider,

@@ -117,7 +117,7 @@ IntensityScale estimate_scale(std::vector<double> intensities) {
     std::erase_if(intensities, [](double value) { return !std::isfinite(value); });
     if (intensities.empty()) return {};
     const auto [lowest, highest] = std::ranges::minmax(intensities);
-    IntensityScale scale{.is_sure = lowest >= 0.0, .reason = "usual"};
+    IntensityScale scale{.is_sure = lowest >= 0.0, .reason = "default"};
     if (highest <= 1.0) return scale;
     scale.reason = fmt::format("guess: the highest is {:.4g}", highest);
     if (highest <= kByteScale) {

@@ -234,8 +234,8 @@ void check_settings_used(const Log& log, const Conventions& set) {
         };
         if (is_set && std::ranges::none_of(log.conventions_used, uses))
             fail<UsageError>(
-                "the setting conventions.{} has no effect on {}, because its format has another or no such "
-                "convention; expected {}",
+                "the setting conventions.{} has no effect on {}: the log has no such values, or its format "
+                "defines them; expected {}",
                 key, log.source, key == "intensity_max" ? "0" : "auto");
     };
     check(int(set.deskew) != 0, "deskew");
@@ -254,10 +254,17 @@ void check_settings_used(const Log& log, const Conventions& set) {
 std::optional<double> read_clock_offset_s(const Conventions& set) {
     if (set.clock_offset_s == "auto") return std::nullopt;
     const std::optional<double> offset_s = parse_number(set.clock_offset_s);
-    if (!offset_s || !std::isfinite(*offset_s))
-        fail<UsageError>("conventions.clock_offset_s: found '{}', expected a number of seconds or auto",
-                         quote(set.clock_offset_s));
+    constexpr double kMost_s = 4e9;  // more than the seconds since 1970
+    if (!offset_s || !(std::abs(*offset_s) <= kMost_s))
+        fail<UsageError>(
+            "conventions.clock_offset_s: found '{}', expected auto or a number of seconds from -4e9 to 4e9",
+            quote(set.clock_offset_s));
     return offset_s;
+}
+
+std::string describe_clock(const std::string& scans, double offset_s) {
+    return fmt::format("{} {:.3f} s {} the poses", scans, std::abs(offset_s),
+                       offset_s < 0.0 ? "behind" : "ahead of");
 }
 
 std::size_t choose_poses(const std::vector<PoseReading>& all, const ScanPairReader& read_scan_pairs_or_null,
@@ -269,6 +276,11 @@ std::size_t choose_poses(const std::vector<PoseReading>& all, const ScanPairRead
         readings.push_back(all[k]);
         index.push_back(k);
     }
+    if (readings.empty())
+        fail<UsageError>(
+            "{}: the poses do not have the conventions that are set; expected conventions.poses, "
+            "conventions.quaternions and conventions.angles to be auto",
+            where);
     PoseChoice choice(readings);
     std::vector<std::size_t> possible;
     for (std::size_t k = 1; k < readings.size(); ++k)
@@ -284,15 +296,15 @@ std::size_t choose_poses(const std::vector<PoseReading>& all, const ScanPairRead
             {readings[choice.undecided].quaternions == Conventions::Quaternions::xyzw ? kQuaternionOrder : "",
              -1, fmt::format("{}: {}", where, describe_doubt(choice))});
     list_reading(log, readings[choice.best], set,
-                 choice.best > 0 ? describe_best(choice, !scans.empty()) : "usual");
+                 choice.best > 0 ? describe_best(choice, !scans.empty()) : "default");
     return index[choice.best];
 }
 
 void fix_inverted_poses(Log& log, const Conventions& set) {
-    const auto is_set = [](const UsedConvention& used) {
-        return used.name == "poses" && used.from == kFromSetting;
+    const auto is_certain = [](const UsedConvention& used) {
+        return used.name == "poses" && (used.from == kFromSetting || used.from == kFromMessages);
     };
-    if (!log.has_poses || std::ranges::any_of(log.conventions_used, is_set)) return;
+    if (!log.has_poses || std::ranges::any_of(log.conventions_used, is_certain)) return;
     PoseTrack stored_poses = log.world_from_vehicle;  // as in the file, before centre_log()
     for (Pose& pose : stored_poses.pose) pose.translation += log.world_offset_m;
     std::vector<PoseReading> readings = {{.name = "world-from-sensor poses",  // assumed by the reader

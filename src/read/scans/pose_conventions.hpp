@@ -14,6 +14,9 @@
 
 namespace relidar::read {
 
+/// UsedConvention::from of values that the types of messages define.
+inline constexpr const char* kFromMessages = "type of the messages";
+
 inline constexpr const char *kScalarFirst = "qw qx qy qz", *kScalarLast = "qx qy qz qw";
 
 /// One meaning of the numbers in a pose file.
@@ -56,6 +59,8 @@ void check_settings_used(const Log& log, const Conventions& set);
 /// Returns Conventions::clock_offset_s as a number, or nothing if it is "auto".
 /// @throws UsageError for other text
 std::optional<double> read_clock_offset_s(const Conventions& set);
+/// Returns a clock offset for the table: "scans 37.000 s ahead of the poses".
+std::string describe_clock(const std::string& scans, double offset_s);
 
 /// Returns the index of the meaning that the user has set, or else the one that fits the
 /// motion of the vehicle and the scans best: 0, the documented meaning, unless another

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include "read/scans/point_times.hpp"
+#include "read/scans/pose_conventions.hpp"
 #include "read/scans/scan_plan.hpp"
 
 namespace relidar::read {
@@ -95,6 +96,16 @@ void note_plan(Log& log, const ScanLayout& layout, int lidar_index, const ScanPl
             "\"motion_compensated\": true in sequence.json",
             plan.unmarked_firings->recovery.spread_rad * 180.0 / kPi,
             plan.unmarked_firings->recovery.compensated_spread_rad * 180.0 / kPi));
+    const std::string& name = log.lidars[std::size_t(lidar_index)].name;
+    const std::string of_lidar = name.empty() ? "" : " of " + name;
+    if (plan.has_beams && plan.has_rings && !plan.is_fitted)
+        list_convention(
+            log, {"ring 0" + of_lidar,
+                  layout.lidars[std::size_t(lidar_index)].lowest_first ? "lowest beam" : "highest beam",
+                  layout.are_rings_set ? kFromSetting : layout.declared_by, "conventions.rings"});
+    if (plan.moved_to_s)
+        list_convention(log, {"points" + of_lidar, "motion-compensated",
+                              "guess: the beams then have constant elevations", "conventions.deskew"});
     if (plan.moved_to_s)
         add(
             fmt::format("the points were moved to the time {:.4f} s after the frame, because their beams "

@@ -47,6 +47,9 @@ struct ScanLayout {
     std::vector<LidarScanLayout> lidars = {};
     bool motion_compensated = false;
     std::string declared_by = "dataset";  ///< what says the conventions of the points
+    bool is_deskew_declared = true;       ///< false: `motion_compensated` is only the default
+    bool are_rings_set = false;           ///< true: `lowest_first` is set by the user
+    bool is_deskew_set = false;           ///< true: by the user, so it is not guessed
     /// True if the user describes the LiDARs in sequence.json. Other points are an error.
     bool is_described = false;
 };

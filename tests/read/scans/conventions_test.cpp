@@ -54,6 +54,17 @@ TEST(Conventions, DirectionOfPoses) {
     expect_pose(files.load(with({.poses = Conventions::Poses::sensor_from_world})), kStanding);
 }
 
+TEST(Conventions, DirectionOfNamedPoses) {
+    const PointLog files("set_named", "bin", test::bin, test::kRings);
+    const auto [q, t] = inverse(kStanding);
+    write_standing(files, numbers_of(t, {q.w, q.x, q.y, q.z}));
+    const std::string text = test::read_text(files.folder / "poses.txt");
+    test::write_text(files.folder / "poses.txt", "# time_s x y z qw qx qy qz\n" + text);
+    expect_pose(files.load(), inverse(kStanding));
+    expect_pose(files.load(with({.poses = Conventions::Poses::sensor_from_world})), kStanding);
+    EXPECT_THROW(files.load(with({.quaternions = Conventions::Quaternions::xyzw})), UsageError);
+}
+
 TEST(Conventions, UnitOfAngles) {
     const PointLog files("set_angles", "bin", test::bin, test::kRings);
     write_standing(files, numbers_of(kStanding.translation, {0.0, 0.0, 0.5 * 180.0 / kPi}));
@@ -88,6 +99,23 @@ TEST(Conventions, TimesOfPoints) {
     EXPECT_LT(worst.time_s, 1e-6);
     EXPECT_EQ(find_row(log, "unit of point times").value, "ms");
     EXPECT_EQ(find_row(log, "zero of point times").from, kFromSetting);
+}
+
+TEST(Conventions, TheUnitAloneLeavesTheZeroToTheGuess) {
+    const PointLog files = change_times("set_unit", 1e6, 1000.0);
+    std::string frames;  // of a clock that started 1000 s ago
+    for (int i = 0; i < 4; ++i)
+        frames += fmt::format(R"({}{{"number": {}, "time_s": {:.1f}, "scan": "scans/{:02}.npy"}})",
+                              i == 0 ? "" : ", ", i, 1000.0 + 0.1 * i, i);
+    test::write_text(files.folder / "sequence.json",
+                     R"({"format": "relidar log", "version": 1, "intensity_max": 1, "columns": ["x", "y", "z",
+                         "intensity", "ring", "time"], "frames": [)" +
+                         frames + "]}");
+    for (const auto unit : {Conventions::TimeUnit::automatic, Conventions::TimeUnit::us}) {
+        const Log log = files.load(with({.time_unit = unit}));
+        EXPECT_LT(test::measure_difference(log, files.street).time_s, 1e-5);
+        EXPECT_EQ(find_row(log, "zero of point times").from, "guess: times of some scans");
+    }
 }
 
 TEST(Conventions, ScaleOfIntensities) {
@@ -153,6 +181,16 @@ TEST(Conventions, Boxes) {
     local.translation.y = -local.translation.y;
     const Pose mirrored = load({.box_axes = Conventions::BoxAxes::mirrored_vehicle}).second;
     EXPECT_LT(glm::distance((inverse(vehicle) * mirrored).translation, local.translation), 1e-9);
+}
+
+TEST(Conventions, ImagesOfRaysDefineTheirOwn) {
+    const PointLog files("set_images", "bin", test::bin, test::kRings);
+    const std::filesystem::path folder = test::make_fresh_folder_path("set_images_npz");
+    save_folder(files.street, folder);
+    for (const Conventions& set : {Conventions{.rings = Conventions::Rings::lowest_first},
+                                   Conventions{.time_unit = Conventions::TimeUnit::us},
+                                   Conventions{.time_zero = Conventions::TimeZero::clock}})
+        EXPECT_THAT(test::find_load_error(folder.string(), with(set)), test::Names("no effect"));
 }
 
 TEST(Conventions, ASettingWithoutEffectIsAnError) {

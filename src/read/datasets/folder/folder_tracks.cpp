@@ -219,7 +219,7 @@ std::string unit_hint(double pose_span_s, double frame_span_s) {
 
 /// Returns a hint if the poses would cover all frames after a shift by the difference of
 /// two common clocks, such as GPS time and UTC. Otherwise returns "".
-std::string leap_second_hint(const PoseTrack& track, const std::vector<LogFrame>& frames) {
+std::string leap_second_hint(const PoseTrack& track, const std::vector<LogFrame>& frames, double set_s) {
     // These clocks differ by a constant number of seconds, because only UTC has leap
     // seconds and the others began in different years.
     constexpr std::pair<int, const char*> kDifferences[] = {
@@ -229,27 +229,32 @@ std::string leap_second_hint(const PoseTrack& track, const std::vector<LogFrame>
             const double begin_s = track.time_s.front() - earlier_s - kMostBeyond_s,
                          end_s = track.time_s.back() - earlier_s + kMostBeyond_s;
             if (frames.front().time_s >= begin_s && frames.back().time_s <= end_s)
-                return fmt::format("; {} s {}, they would cover all frames ({} is {} s)", difference_s,
-                                   earlier_s > 0 ? "earlier" : "later", name, difference_s);
+                return fmt::format(
+                    "; {} s {}, they would cover all frames ({} is {} s); set "
+                    "conventions.clock_offset_s={:g}",
+                    difference_s, earlier_s > 0 ? "earlier" : "later", name, difference_s, set_s - earlier_s);
         }
     return "";
 }
 
 /// Returns a hint for the user why poses do not cover the frames: times in another unit,
 /// leap seconds, or (if they cover no frame) another clock. May return an empty string.
+/// @param set_s  clock offset that the times of the poses already contain
 /// @param is_plain_folder  if true, the advice names keys of sequence.json
-std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& frames, bool is_plain_folder) {
+std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& frames, double set_s,
+                       bool is_plain_folder) {
     std::string hint =
         unit_hint(track.time_s.back() - track.time_s.front(), frames.back().time_s - frames.front().time_s);
-    if (hint.empty()) hint = leap_second_hint(track, frames);
+    if (hint.empty()) hint = leap_second_hint(track, frames, set_s);
     if (!hint.empty()) return hint;
     const auto is_covered = [&](const LogFrame& frame) { return track.contains_time(frame.time_s); };
     if (std::ranges::any_of(frames, is_covered)) return "";
     if (!is_plain_folder)
         return fmt::format(
-            "; poses and frames must have the same clock: correct the times of the poses by the difference "
-            "of the clocks, for example {:+.3f} s if both begin simultaneously",
-            frames.front().time_s - track.time_s.front());
+            "; poses and frames must have the same clock: set conventions.clock_offset_s to the difference "
+            "of "
+            "the clocks, for example {:.3f} if both begin simultaneously",
+            frames.front().time_s - track.time_s.front() + set_s);
     return "; poses and frames must have the same clock: write the times of the scans to the key \"frames\" "
            "of sequence.json instead of \"rate_hz\", with which the first scan has the time 0, or subtract "
            "the time of the first scan from the times of the poses";
@@ -259,14 +264,14 @@ std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& fram
 /// outside the track.
 /// @throws DataError with a hint about the cause for a frame farther outside
 std::vector<Pose> poses_at_frames(const PoseTrack& track, const std::vector<LogFrame>& frames,
-                                  const std::string& name, bool is_plain_folder) {
+                                  const std::string& name, double set_s, bool is_plain_folder) {
     std::vector<Pose> poses;
     for (const LogFrame& frame : frames) {
         if (frame.time_s < track.time_s.front() - kMostBeyond_s ||
             frame.time_s > track.time_s.back() + kMostBeyond_s)
             fail("{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames{}",
                  name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s,
-                 clock_hint(track, frames, is_plain_folder));
+                 clock_hint(track, frames, set_s, is_plain_folder));
         poses.push_back(track.pose_at(frame.time_s));
     }
     return poses;
@@ -342,16 +347,20 @@ std::vector<Pose> load_timed_poses(const std::vector<std::string>& lines, const 
     if (const std::optional<double> offset_s = read_clock_offset_s(set)) {
         for (PoseReading& reading : readings)
             for (double& time_s : reading.world_from_vehicle.time_s) time_s += *offset_s;
-        list_convention(log, {"clock", fmt::format("scans {:.3f} s ahead of the poses", *offset_s),
-                              kFromSetting, "conventions.clock_offset_s"});
+        list_convention(
+            log, {"clock", describe_clock("scans", *offset_s), kFromSetting, "conventions.clock_offset_s"});
     }
     // Only relidar writes the column name time_s. Its files are as documented.
     const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
-    if (is_certain) readings.resize(1);
+    if (is_certain) {
+        const bool is_inverse = set.poses == Conventions::Poses::sensor_from_world;
+        readings = {readings[is_inverse ? readings.size() / 2 : 0]};  // the inverses follow
+    }
     const PoseTrack& track =
         readings[choose_poses(readings, read_scan_pairs, file_name, set, log)].world_from_vehicle;
     note_sparse_poses(track, frames, file_name, log.notes);
-    return poses_at_frames(track, frames, file_name, /*is_plain_folder=*/bool(read_scan_pairs));
+    return poses_at_frames(track, frames, file_name, read_clock_offset_s(set).value_or(0.0),
+                           /*is_plain_folder=*/bool(read_scan_pairs));
 }
 
 /// Reads a 3x4 matrix for each frame: line i belongs to frame number i. Inverts the poses

@@ -156,6 +156,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     const read::ScanLayout layout{.lidars = {head.lidars.begin(), head.lidars.end()},
                                   .motion_compensated = head.motion_compensated,
                                   .declared_by = read::kHeadFile,
+                                  .is_deskew_declared = head.motion_compensated,
                                   .is_described = true};
     read::read_scan_files(log, layout, head.units, files, options);
     return log;

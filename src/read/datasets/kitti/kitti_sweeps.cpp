@@ -258,7 +258,9 @@ void read_kitti_sweeps(Log& log, const std::filesystem::path& scan_folder, const
     log.lidars[0].sensor.max_range_m = options.max_range_m;
     DatasetOptions scan_options = options;
     if (!log.has_poses) scan_options.poses_file = kNoPoses;
-    read::read_scans(log, {.lidars = {{}}, .motion_compensated = true}, scans, scan_options);
+    read::ScanLayout layout{.lidars = {{}}, .motion_compensated = true};
+    read::apply_conventions(log, layout, options.conventions);
+    read::read_scans(log, layout, scans, scan_options);
 }
 
 void read_hdl64_sweeps(Log& log, const std::filesystem::path& scan_folder, int file_name_digits,
