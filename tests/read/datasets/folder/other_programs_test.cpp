@@ -453,7 +453,7 @@ TEST(OtherPrograms, NanosecondsAfterTheFirstPointOfOuster) {
     EXPECT_EQ(unit->value, "ns");
     EXPECT_THAT(unit->from, testing::StartsWith("guess: "));
     files.put_head(R"(, "time_unit": "us")");
-    EXPECT_THAT(test::find_load_error(files.folder.string()), test::Names("time ... \"time_unit\""));
+    EXPECT_THAT(test::find_load_error(files.folder.string()), test::Names("time ... conventions.time_unit"));
 }
 
 TEST(OtherPrograms, NanosecondsSince1970) {

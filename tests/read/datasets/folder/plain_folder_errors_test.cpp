@@ -302,7 +302,7 @@ TEST_F(FolderDamage, OfValues) {
     expect("scans/a.pcd", changed([](auto& p) { p.point_m.y = 1e7f; }), "a.pcd: point 7 ... (");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = NAN; }), "a.pcd: point 7 ... time nan");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = 1e9; }),
-           R"("time_unit" ... "point_times" ... sequence.json)");
+           "conventions.time_unit ... conventions.time_zero");
     expect("scans/a.pcd", changed([](auto& p) { p.ring = 65535; }), "a.pcd: point 7 ... ring ... 65535");
     expect_head(replace_first(head, R"("intensity_max": 255, )", ""),
                 R"(intensity ... 51 ... 0 to 1 ... "intensity_max")");
