@@ -246,7 +246,7 @@ void correct_pose_clock(ChosenPoses& choice, const BagIndex& index, const CloudT
     };
     if (known_s) {
         set_path(choice, index, source, choice.zero_ns - std::llround(1e9 * *known_s));
-        return list(fmt::format("clouds {:.3f} s ahead of the poses", *known_s), kFromSetting);
+        return list(read::describe_clock("clouds", *known_s), kFromSetting);
     }
     const std::vector<StampedPose>* poses = find_samples(index, source);
     if (choice.clock == LogClock::recorder || !poses) return;
@@ -354,7 +354,8 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
                  "conventions.quaternions"});
         correct_pose_clock(choice, index, main_lidar_clouds, *source, read::read_clock_offset_s(set));
     }
-    try_recorder_clock(choice, index, main_lidar_clouds, *source);
+    if (!read::read_clock_offset_s(options.conventions))
+        try_recorder_clock(choice, index, main_lidar_clouds, *source);
     return choice;
 }
 
