@@ -9,6 +9,7 @@
 #include <array>
 #include <list>
 #include <memory>
+#include <mutex>
 #include <set>
 
 #include <zip.h>
@@ -34,6 +35,14 @@ void check_arrays(const std::vector<NamedArray>& arrays) {
     }
 }
 
+/// Opens an archive. The first call sets static variables of libzip without a lock, so two
+/// first calls at the same time could see an archive that is read-only.
+zip_t* open_archive(zip_source_t* source, int flags, zip_error_t* error) {
+    static std::mutex first_call;
+    const std::lock_guard guard(first_call);
+    return zip_open_from_source(source, flags, error);
+}
+
 /// Adds an array to an archive as an entry NAME.npy. libzip copies the list `parts`, but
 /// reads the header and the values only when the archive closes.
 /// @param header of the .npy file
@@ -56,7 +65,8 @@ void add_array(zip_t* archive, const NamedArray& array, std::string& header) {
 zip_source_t* make_zip(const std::vector<NamedArray>& arrays) {
     zip_source_t* target = zip_source_buffer_create(nullptr, 0, 0, nullptr);
     zip_source_keep(target);  // Otherwise zip_close() would free it.
-    zip_t* archive = zip_open_from_source(target, ZIP_TRUNCATE, nullptr);
+    zip_t* archive = open_archive(target, ZIP_TRUNCATE, nullptr);
+    if (!archive) fail("libzip cannot make an archive");
     std::list<std::string> headers;  // A list does not move its elements.
     try {
         for (const NamedArray& array : arrays)
@@ -83,7 +93,7 @@ ZipArchive open_zip(std::string_view bytes) {
     constexpr int kKeepBytes = 0;  // libzip does not free the bytes.
     zip_source_t* source = zip_source_buffer_create(bytes.data(), bytes.size(), kKeepBytes, &error);
     // ZIP_CHECKCONS compares the directory with the headers of the entries.
-    zip_t* archive = zip_open_from_source(source, ZIP_RDONLY | ZIP_CHECKCONS, &error);
+    zip_t* archive = open_archive(source, ZIP_RDONLY | ZIP_CHECKCONS, &error);
     if (!archive) {
         const std::string reason = zip_error_strerror(&error);
         zip_source_free(source);
