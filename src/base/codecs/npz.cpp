@@ -35,8 +35,8 @@ void check_arrays(const std::vector<NamedArray>& arrays) {
     }
 }
 
-/// Opens an archive. The first call sets static variables of libzip without a lock, so two
-/// first calls at the same time could see an archive that is read-only.
+/// Opens an archive. The first call sets static variables of libzip without a lock, so
+/// two first calls at the same time could see an archive that is read-only.
 zip_t* open_archive(zip_source_t* source, int flags, zip_error_t* error) {
     static std::mutex first_call;
     const std::lock_guard guard(first_call);

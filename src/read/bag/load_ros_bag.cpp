@@ -74,9 +74,11 @@ public:
         read::ScanLayout layout{.motion_compensated = is_deskewed_};
         layout.declared_by = "relidar, which wrote the file";
         layout.is_deskew_declared = is_deskewed_;
+        bool have_one_time = false;  // all points of a cloud
         for (std::size_t l = 0; l < log_.lidars.size(); ++l) {
             layout.lidars.push_back({.has_beams = !log_.lidars[l].sensor.beams.empty()});
             if (!lidars_[l].units.is_deskewed) continue;
+            have_one_time = true;
             layout.motion_compensated = true;
             layout.declared_by = "guess: all points of a scan have the same time";
             layout.is_deskew_declared = true;
@@ -84,7 +86,8 @@ public:
         // The formats of packets define these conventions.
         const auto has_clouds = [&](std::size_t topic) { return survey_.clouds[topic].packets.empty(); };
         if (std::ranges::any_of(clouds_.lidars, has_clouds)) read::apply_conventions(log_, layout, set);
-        if (is_deskewed_ && has_poses_) layout.motion_compensated = false;  // BagScans undoes it
+        // BagScans undoes it.
+        if (is_deskewed_ && has_poses_ && !have_one_time) layout.motion_compensated = false;
         DatasetOptions options = options_;
         if (!log_.has_poses) options.poses_file = kNoPoses;
         LidarPoseFunction deskewed_by;  // empty: the points are not compensated, or it cannot be undone
