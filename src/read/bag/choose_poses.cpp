@@ -159,8 +159,8 @@ std::string select_world(const std::vector<std::string>& frame_path_to_root) {
     return has_map ? "map" : frame_path_to_root.back();
 }
 
-/// Returns the pose topic whose kind is first: odometry, then poses, then paths, which
-/// can also be plans. Returns null if there are none with at least two poses.
+/// Returns the pose topic of the first kind: odometry, poses, or paths. Paths are last,
+/// because they can be plans. Returns null if no topic has two poses.
 /// @throws UsageError if there are several of one kind and `must_be_one`
 const PoseTopic* select_topic(const BagRecording& bag, const BagIndex& index, bool must_be_one) {
     const auto rank = [&](const PoseTopic& poses) {
