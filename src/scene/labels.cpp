@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <cctype>
-
 #include <relidar/scene/labels.hpp>
+
+#include <algorithm>
+#include <span>
+
 #include <relidar/scene/scene.hpp>
 
 #include "base/geometry/ray_box.hpp"
@@ -12,36 +14,7 @@
 namespace relidar {
 namespace {
 
-constexpr std::string_view kVehicleClasses[] = {
-    // KITTI, KITTI-360, Waymo
-    "car", "van", "truck", "tram", "bus", "trailer", "caravan", "train", "vehicle",
-    // Argoverse 2
-    "regular_vehicle", "large_vehicle", "box_truck", "truck_cab", "vehicular_trailer", "school_bus",
-    "articulated_bus", "message_board_trailer", "railed_vehicle", "traffic_light_trailer",
-    // nuScenes
-    "vehicle.car", "vehicle.truck", "vehicle.trailer", "vehicle.construction", "vehicle.bus.bendy",
-    "vehicle.bus.rigid", "vehicle.emergency.ambulance", "vehicle.emergency.police",
-    // TruckScenes, Lyft
-    "vehicle.other", "vehicle.ego_trailer", "vehicle.train", "other_vehicle", "emergency_vehicle"};
-constexpr std::string_view kCyclistClasses[] = {"cyclist",       "bicycle",         "motorcycle",
-                                                "rider",         "bicyclist",       "motorcyclist",
-                                                "wheeled_rider", "vehicle.bicycle", "vehicle.motorcycle"};
-constexpr std::string_view kPersonClasses[] = {
-    // KITTI, KITTI-360, Waymo, Argoverse 2
-    "pedestrian", "person", "person (sitting)", "person_sitting", "official_signaler",
-    // nuScenes
-    "human.pedestrian.adult", "human.pedestrian.child", "human.pedestrian.construction_worker",
-    "human.pedestrian.police_officer", "human.pedestrian.personal_mobility", "human.pedestrian.stroller",
-    "human.pedestrian.wheelchair"};
-
-bool is_word_in_list(std::span<const std::string_view> words, std::string_view word) {
-    return std::ranges::find(words, word) != words.end();
-}
-
-constexpr double kGroundHeight_m = 0.15;    // points in the lowest part of a box belong to the ground
-constexpr double kShortestVehicle_m = 3.0;  // minimum length of a vehicle without a class
-constexpr double kMaxPersonWidth_m = 1.1, kMinPersonHeight_m = 1.2;  // persons and cyclists without a class
-constexpr double kMaxPersonLength_m = 1.3, kMaxCyclistLength_m = 2.2;
+constexpr double kGroundHeight_m = 0.15;  // points in the lowest part of a box belong to the ground
 
 /// Returns the corners of the part of a box that contains the points of the object.
 std::pair<glm::dvec3, glm::dvec3> object_corners(const glm::dvec3& size_m) {
@@ -63,35 +36,6 @@ Pose median_pose(const PoseTrack& track) {
 }
 
 }  // namespace
-
-ObjectKind parse_kind(std::string_view category) {
-    std::string word(category);
-    std::ranges::transform(word, word.begin(),
-                           [](unsigned char character) { return char(std::tolower(character)); });
-    if (is_word_in_list(kVehicleClasses, word)) return ObjectKind::vehicle;
-    if (is_word_in_list(kCyclistClasses, word)) return ObjectKind::cyclist;
-    return is_word_in_list(kPersonClasses, word) ? ObjectKind::person : ObjectKind::other;
-}
-
-const char* name_of(ObjectKind kind) {
-    constexpr const char* kKindNames[] = {"vehicle", "cyclist", "person", "other"};
-    return kKindNames[static_cast<int>(kind)];
-}
-
-ObjectKind guess_kind(const BoxTrack& box) {
-    if (box.category != kDiscoveredCategory) return parse_kind(box.category);
-    const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
-    if (length >= kShortestVehicle_m) return ObjectKind::vehicle;
-    const bool is_narrow_and_tall = width <= kMaxPersonWidth_m && box.size_m.z >= kMinPersonHeight_m;
-    if (!is_narrow_and_tall) return ObjectKind::other;
-    if (length < kMaxPersonLength_m) return ObjectKind::person;
-    return length < kMaxCyclistLength_m ? ObjectKind::cyclist : ObjectKind::other;
-}
-
-std::string label_of(const BoxTrack& box) {
-    const ObjectKind kind = guess_kind(box);
-    return box.category == kDiscoveredCategory && kind != ObjectKind::other ? name_of(kind) : box.category;
-}
 
 bool is_on_object(const glm::dvec3& point_m, const glm::dvec3& size_m) {
     const auto [low_m, high_m] = object_corners(size_m);

@@ -23,21 +23,60 @@ TEST(ObjectKind, IsTheSameInEveryDataset) {
         EXPECT_EQ(parse_kind(word), ObjectKind::other) << word;
 }
 
-TEST(Labels, MoversWithoutALabelGetTheKindOfTheirSize) {
-    const auto kind_of = [](const glm::dvec3& size_m) {
-        return guess_kind(
-            {.id = "mover", .category = kDiscoveredCategory, .size_m = size_m, .world_from_box = {}});
+TEST(ObjectClass, IsTheSameInEveryDataset) {
+    using enum ObjectClass;
+    constexpr std::pair<const char*, ObjectClass> kClasses[] = {
+        {"Car", car},
+        {"REGULAR_VEHICLE", car},
+        {"vehicle.car", car},
+        {"vehicle", car},
+        {"Van", van},
+        {"vehicle.emergency.ambulance", van},
+        {"Truck", truck},
+        {"BOX_TRUCK", truck},
+        {"LARGE_VEHICLE", truck},
+        {"Medium-sized Truck", truck},
+        {"vehicle.construction", truck},
+        {"vehicle.bus.rigid", bus},
+        {"SCHOOL_BUS", bus},
+        {"VEHICULAR_TRAILER", trailer},
+        {"truck_trailer", trailer},
+        {"caravan", trailer},
+        {"Cyclist", cyclist},
+        {"vehicle.bicycle", cyclist},
+        {"WHEELED_RIDER", cyclist},
+        {"vehicle.motorcycle", motorcycle},
+        {"MOTORCYCLIST", motorcycle},
+        {"Person_sitting", pedestrian},
+        {"human.pedestrian.construction_worker", pedestrian},
+        {"OFFICIAL_SIGNALER", pedestrian},
+        {"Tram", other},
+        {"static_object.bicycle_rack", other},
+        {"Misc", other},
+        {"", other}};
+    for (const auto& [label, expected] : kClasses)
+        EXPECT_EQ(class_of({"1", label, {4.2, 1.8, 1.5}, {}}), expected) << label;
+    EXPECT_EQ(parse_kind("Tram"), ObjectKind::vehicle);
+}
+
+TEST(Labels, MoversWithoutALabelGetTheClassOfTheirSize) {
+    using enum ObjectClass;
+    const auto discovered = [](const glm::dvec3& size_m) {
+        return BoxTrack{
+            .id = "mover", .category = kDiscoveredCategory, .size_m = size_m, .world_from_box = {}};
     };
-    EXPECT_EQ(kind_of({0.8, 0.6, 1.75}), ObjectKind::person);
-    EXPECT_EQ(kind_of({1.8, 0.7, 1.7}), ObjectKind::cyclist);
-    EXPECT_EQ(kind_of({4.2, 1.8, 1.5}), ObjectKind::vehicle);
-    EXPECT_EQ(kind_of({12.0, 2.5, 3.2}), ObjectKind::vehicle);
-    EXPECT_EQ(kind_of({1.5, 1.4, 0.6}), ObjectKind::other);
-    const BoxTrack van{.id = "1", .category = "Van", .size_m = {0.8, 0.6, 1.75}, .world_from_box = {}};
-    EXPECT_EQ(guess_kind(van), ObjectKind::vehicle) << "a label is never overruled";
-    EXPECT_EQ(label_of(van), "Van");
-    EXPECT_EQ(label_of({"2", kDiscoveredCategory, {0.8, 0.6, 1.75}, {}}), "person");
-    EXPECT_EQ(label_of({"3", kDiscoveredCategory, {1.5, 1.4, 0.6}, {}}), kDiscoveredCategory);
+    EXPECT_EQ(class_of(discovered({0.8, 0.6, 1.75})), pedestrian);
+    EXPECT_EQ(class_of(discovered({1.8, 0.7, 1.7})), cyclist);
+    EXPECT_EQ(class_of(discovered({4.2, 1.8, 1.5})), car);
+    EXPECT_EQ(class_of(discovered({12.0, 2.5, 3.2})), truck);
+    EXPECT_EQ(class_of(discovered({1.5, 1.4, 0.6})), other);
+    EXPECT_EQ(guess_kind(discovered({1.8, 0.7, 1.7})), ObjectKind::cyclist);
+    EXPECT_EQ(label_of(discovered({1.8, 0.7, 1.7})), "");
+    const BoxTrack small_van{.id = "1", .category = "Van", .size_m = {0.8, 0.6, 1.75}, .world_from_box = {}};
+    EXPECT_EQ(class_of(small_van), van) << "a label is never overruled";
+    EXPECT_EQ(guess_kind(small_van), ObjectKind::vehicle);
+    EXPECT_EQ(name_of(class_of(small_van)), "Van");
+    EXPECT_EQ(label_of(small_van), "Van");
 }
 
 TEST(Labels, RaysCrossTheBoxAboveTheGround) {

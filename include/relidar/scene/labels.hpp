@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Labels of the objects of a scene: kinds of objects without a label, labelled objects
-// that stand still, the points that belong to an object, and surfels that stay in it.
+// Labels of the objects of a scene: their classes, labelled objects that stand still, the
+// points that belong to an object, and surfels that stay in it.
 #pragma once
 
 #include <optional>
@@ -12,11 +12,31 @@
 
 namespace relidar {
 
-/// Returns the kind of object in a box. If the box has no label, guesses the kind from
-/// its size: vehicles are long, persons and cyclists are narrow and tall.
+/// Class of an object, the same for all datasets.
+enum class ObjectClass {
+    car,
+    van,
+    truck,
+    bus,
+    trailer,
+    cyclist,     ///< bicycle with or without a rider, or a rider
+    motorcycle,  ///< with or without a rider
+    pedestrian,
+    other  ///< for example a tram
+};
+/// Returns the class of the object in a box. If the box has no label, guesses the class
+/// from its size: vehicles are long, pedestrians and cyclists are narrow and tall.
+ObjectClass class_of(const BoxTrack& box);
+/// Returns the name of a class: Car, Van, Truck, Bus, Trailer, Cyclist, Motorcycle,
+/// Pedestrian or Other.
+const std::string& name_of(ObjectClass object_class);
+/// Returns the names of all classes.
+const std::vector<std::string>& list_object_classes();
+/// Returns the coarser kind of object in a box, as class_of().
 ObjectKind guess_kind(const BoxTrack& box);
-/// Returns the class name for labels: the category of the box. For a mover without a
-/// label, returns the name of its guessed kind, or kDiscoveredCategory if it is unknown.
+/// Returns true for a moving object that the log does not label.
+bool is_discovered(const BoxTrack& box);
+/// Returns the name of the class in the dataset. Empty if is_discovered().
 std::string label_of(const BoxTrack& box);
 
 /// Margin around boxes in which points belong to the object. Some labelled boxes are too
