@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads recordings with packages of other projects (npm: @mcap/core, protobufjs,
+// Reads recordings with packages of other projects (npm: @mcap/core, fzstd, protobufjs,
 // @foxglove/rosmsg, @foxglove/rosmsg2-serialization). Decodes messages with the schemas
 // in the files, and builds a tree of frames like a player.
 "use strict";
@@ -17,6 +17,7 @@ function packages(modules) {
             descriptor: from("protobufjs/ext/descriptor"),
             rosmsg: from("@foxglove/rosmsg"),
             serialization: from("@foxglove/rosmsg2-serialization"),
+            decompressHandlers: { zstd: (bytes) => from("fzstd").decompress(bytes) },
         };
     } catch (error) {
         console.log(`no reader: ${error.message.split("\n")[0]}`);
@@ -53,7 +54,7 @@ function decoder(npm, schema) {
  */
 async function read(npm, file, check) {
     const name = path.basename(file);
-    const reader = await npm.core.McapIndexedReader.Initialize({ readable: new File(file) });
+    const reader = await npm.core.McapIndexedReader.Initialize({ readable: new File(file), decompressHandlers: npm.decompressHandlers });
     let indexed = 0;
     for await (const _ of reader.readMessages()) ++indexed;
     check(`${name}: statistics count ${reader.statistics.messageCount} messages, the index ${indexed}`,
@@ -61,7 +62,7 @@ async function read(npm, file, check) {
     const records = {};
     for await (const record of reader.readMetadata()) records[record.name] = record.metadata;
     check(`${name}: no metadata of relidar`, records.relidar !== undefined);
-    const stream = new npm.core.McapStreamReader({ validateCrcs: true });   // checks checksums of chunks
+    const stream = new npm.core.McapStreamReader({ validateCrcs: true, decompressHandlers: npm.decompressHandlers });   // checks checksums of chunks
     stream.append(fs.readFileSync(file));
     const decoders = new Map(), messages = [];
     for (let record; (record = stream.nextRecord());) {

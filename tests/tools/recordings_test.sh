@@ -3,7 +3,7 @@
 #
 # Reads recordings of `relidar render` with readers of other projects from npm: @mcap/core
 # with protobufjs and @foxglove/rosmsg2-serialization.
-#   npm install --prefix FOLDER @mcap/core protobufjs @foxglove/rosmsg @foxglove/rosmsg2-serialization
+#   npm install --prefix FOLDER @mcap/core fzstd protobufjs @foxglove/rosmsg @foxglove/rosmsg2-serialization
 # Every cloud, transformed to the world by the transforms of the recording, must equal the
 # output of `--frame world` (read_recordings.cjs).
 #

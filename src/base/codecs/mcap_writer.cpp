@@ -8,6 +8,7 @@
 #include <cstring>
 
 #include <zlib.h>
+#include <zstd.h>
 
 #include "base/bytes.hpp"
 
@@ -47,6 +48,15 @@ std::string encode_map(const McapWriter::McapMetadataMap& values) {
 
 std::string encode_record(McapRecordCode record_code, std::string_view body) {
     return encode(record_code, std::uint64_t(body.size())).append(body);
+}
+
+std::string compress(const std::string& bytes) {
+    std::string packed(ZSTD_compressBound(bytes.size()), '\0');
+    const std::size_t size =
+        ZSTD_compress(packed.data(), packed.size(), bytes.data(), bytes.size(), ZSTD_CLEVEL_DEFAULT);
+    if (ZSTD_isError(size)) fail("cannot compress {} bytes: {}", bytes.size(), ZSTD_getErrorName(size));
+    packed.resize(size);
+    return packed;
 }
 
 }  // namespace
@@ -110,10 +120,12 @@ void McapWriter::write_chunk() {
     if (chunk_.empty()) return;
     const std::uint64_t chunk_begin = written_, n_bytes = chunk_.size();
     const auto crc = std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(n_bytes)));
-    // First and last time, size, checksum, compression, stored size, messages. The empty
-    // name means no compression, because the floats of a scan compress poorly.
-    append(
-        encode_record(kChunk, encode(chunk_first_ns_, chunk_last_ns_, n_bytes, crc, "", n_bytes) + chunk_));
+    const std::string packed = compress(chunk_);
+    const std::uint64_t n_packed = packed.size();
+    constexpr std::string_view kCompression = "zstd";
+    // First and last time, size, checksum, compression, stored size, messages.
+    append(encode_record(
+        kChunk, encode(chunk_first_ns_, chunk_last_ns_, n_bytes, crc, kCompression, n_packed) + packed));
     const std::uint64_t chunk_end = written_;
 
     // List of channel ids, each with the file position of the channel's message index.
@@ -128,7 +140,7 @@ void McapWriter::write_chunk() {
     const std::uint64_t index_bytes = written_ - chunk_end;
     chunk_indices_ += encode_record(
         kChunkIndex, encode(chunk_first_ns_, chunk_last_ns_, chunk_begin, chunk_end - chunk_begin,
-                            index_positions, index_bytes, "", n_bytes, n_bytes));
+                            index_positions, index_bytes, kCompression, n_packed, n_bytes));
     ++n_chunks_;
     first_ns_ = std::min(first_ns_, chunk_first_ns_);
     last_ns_ = std::max(last_ns_, chunk_last_ns_);

@@ -10,6 +10,7 @@
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../plates.hpp"
+#include "base/codecs/unpack.hpp"
 #include "simulate/scan_files/recorded_moment.hpp"
 #include "support/names.hpp"
 
@@ -128,9 +129,14 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
             const std::size_t at = index->second.body, chunk = read_at<std::uint64_t>(bytes, at + 16);
             EXPECT_EQ(bytes[chunk], 6);
             const std::uint64_t size = read_at<std::uint64_t>(bytes, chunk + 9 + 16);
-            const std::size_t inside = chunk + read_at<std::uint64_t>(bytes, at + 24) - size;
+            // Behind size, checksum, the name "zstd" and the packed size.
+            ASSERT_EQ(bytes.substr(chunk + 9 + 32, 4), "zstd");
+            const std::uint64_t packed_size = read_at<std::uint64_t>(bytes, chunk + 9 + 36);
+            const std::size_t packed = chunk + read_at<std::uint64_t>(bytes, at + 24) - packed_size;
+            std::string inside(size, '\0');
+            decompress_zstd(std::string_view(bytes).substr(packed, packed_size), inside);
             EXPECT_EQ(read_at<std::uint32_t>(bytes, chunk + 9 + 24),
-                      crc32(0, reinterpret_cast<const Bytef*>(&bytes[inside]), uInt(size)));
+                      crc32(0, reinterpret_cast<const Bytef*>(inside.data()), uInt(size)));
             std::size_t n_indexed = 0;
             // entries of 2 + 8 bytes
             for (std::uint32_t entry_offset = 0; entry_offset < read_at<std::uint32_t>(bytes, at + 32);
@@ -139,10 +145,10 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
                 EXPECT_EQ(bytes[entry], 7) << "a message index";
                 EXPECT_EQ(read_at<std::uint16_t>(bytes, entry + 9),
                           read_at<std::uint16_t>(bytes, at + 36 + entry_offset));
-                EXPECT_EQ(bytes[inside + read_at<std::uint64_t>(bytes, entry + 9 + 2 + 4 + 8)], 5);
+                EXPECT_EQ(inside[read_at<std::uint64_t>(bytes, entry + 9 + 2 + 4 + 8)], 5);
                 n_indexed += read_at<std::uint32_t>(bytes, entry + 9 + 2) / 16;
             }
-            EXPECT_EQ(records(bytes, inside, inside + size).count(5), n_indexed);
+            EXPECT_EQ(records(inside, 0, size).count(5), n_indexed);
             EXPECT_EQ(read_at<std::uint32_t>(bytes, at + 32) / 10, all.count(4) / 2);
         }
     }
