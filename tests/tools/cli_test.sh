@@ -543,7 +543,7 @@ editing() {
     good info standing
     says "edit +--copy 1@5,0,ground,90:3"
     good edit run --out tilted --copy "0@$start,4,-3:2"
-    good edit run --out edited --move 0:0,3.5,0 --copy "0@$start:8" --move 0-copy-1:0,-3,0,10 --copy "0-copy-1@$start" --retime 1:0.3 --remove 0
+    good edit run --out edited --move 0:0,3.5,0 --copy "0@$start:8" --move 0-copy-1:0,-3,0,10 --copy "0-copy-1@$start" --retime 1=0.3 --remove 0
     says "0 as 0-copy-1"
     good info edited --json
     check "edits are not told in the order given" test "$(grep -c '"edit": "--' out)" = 6
@@ -578,7 +578,7 @@ editing() {
     bad 2 '--track 9: .*tracks: 0, 1' export run --out van.csv --track 9
     bad 2 '--out van.ply: .*\.csv' export run --out van.ply --track 1
     bad 2 '--speed 0=0: .*above 0' edit run --out x --speed 0=0
-    good edit run --out late --retime 0:100
+    good edit run --out late --retime 0=100
     says "note: actor 0 .*visible"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
     good edit run --out both --force --insert "removed#1@$start"
@@ -623,7 +623,7 @@ wrong_edits() {
     bad 2 '--move: .*"0:1,2", .*TRACK:dx,dy,dz' edit run --out x --move 0:1,2
     bad 2 '--move: .*"nan"' edit run --out x --move 0:1,nan,2
     bad 2 '--move: .*"0", .*TRACK' edit run --out x --move 0
-    bad 2 '--retime: .*"0:"' edit run --out x --retime 0:
+    bad 2 '--retime: .*"0:1", expected TRACK=SECONDS' edit run --out x --retime 0:1
     bad 2 '--copy: .*"0@1,2,3", .*TRACK@x,y,z,yaw_deg' edit run --out x --copy 0@1,2,3
     bad 2 '--copy: .*"0@1,ground", .*TRACK@x,y,z,yaw_deg.*TRACK@x,y,ground' edit run --out x --copy 0@1,ground
     bad 2 '--copy 0@900,2,ground: .*900,2 ' edit run --out x --copy 0@900,2,ground

@@ -104,7 +104,7 @@ rotations by slerp. Outside its times the actor is absent. Actors may overlap: a
 nearest surface.
 Examples:
   relidar edit run --out empty --remove 0
-  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5 --speed 2=1.5
+  relidar edit run --out lane --move 0:0,3.5,0 --retime 1=-0.5 --speed 2=1.5
   relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10
   relidar edit run --out parked --copy 0@12,3.5,ground
   relidar edit run --out cleaned --from-ply scene.ply)";

@@ -165,7 +165,7 @@ BoxTrack find_box_track(const SceneWithLog& edited, const std::string& track_id)
 }
 
 EditResult apply_delay(SceneWithLog edited, const EditArgument& edit) {
-    const auto [track, seconds] = split_text(edit, edit.value, edit.value.rfind(':'));
+    const auto [track, seconds] = split_text(edit, edit.value, edit.value.rfind('='));
     const BoxTrack before = find_box_track(edited, track);
     edited = delay_track(std::move(edited), track, parse_numbers(edit, seconds, 1, 1)[0]);
     const std::string note = warn_absent(edited, track, before);
@@ -278,7 +278,7 @@ const std::vector<EditOption>& edit_options() {
         {"--class", apply_class, "TRACK=NAME",
          "set the class of an actor, or of a labelled object in the background, in all labels; vehicle, "
          "cyclist, person, or a class name of a dataset"},
-        {"--retime", apply_delay, "TRACK:seconds",
+        {"--retime", apply_delay, "TRACK=SECONDS",
          "delay all motion of an actor by this time in seconds; negative values make it earlier"},
         {"--speed", apply_speed, "TRACK=FACTOR",
          "multiply the speed of an actor along its path, which begins at the same time"},
