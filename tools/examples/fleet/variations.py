@@ -23,6 +23,7 @@ import sys
 import time
 
 
+MAX_SPEED_MPS = {"Pedestrian": 2, "Cyclist": 8}   # of copies; other classes: 14 m/s, 50 km/h
 MAX_DRAWS = 20   # places for the copies of a scene that cannot be where they were drawn first
 
 
@@ -56,10 +57,13 @@ def draw_scene(scene, actors, path):
     """Returns the columns of scenes.csv for a scene. A list is separated by spaces."""
     generator = random.Random(f"{options.seed}/{scene}")
     removed = [a for a in actors if generator.random() < 0.3]
-    delays = [f"{a}:{generator.uniform(-1.5, 1.5):.2f}" for a in actors
+    delays = [f"{a}={generator.uniform(-1.5, 1.5):.2f}" for a in actors
               if a not in removed and generator.random() < 0.5]
-    copies = [f"{generator.choice(actors)}@{draw_place(generator, path)}:{generator.uniform(0, 8):.1f}"
-              for _ in range(generator.randint(0, 3) if actors else 0)]
+    copies = []
+    for _ in range(generator.randint(0, 3) if actors else 0):
+        actor = generator.choice(list(actors))
+        speed_mps = generator.uniform(0, MAX_SPEED_MPS.get(actors[actor], 14))
+        copies.append(f"{actor}@{draw_place(generator, path)}:{speed_mps:.1f}")
     offset = [generator.gauss(0, sigma) for sigma in (0.3, 0.5, 0.1, 2.0)]
     return {"scene": scene, "seed": generator.randrange(2**31), "remove": " ".join(removed), "retime": " ".join(delays),
             "copy": " ".join(copies), "weather": draw_weather(generator), "offset": ",".join(f"{v:.3f}" for v in offset),
@@ -138,7 +142,7 @@ if options.scenes < 1:
     parser.error(f"--scenes: found {options.scenes}, expected at least 1")
 
 info = json.loads(call("info", options.run, "--json"))
-actors = [box["id"] for box in info["log"]["boxes"] if box["surfels"]]
+actors = {box["id"]: box["class"] for box in info["log"]["boxes"] if box["surfels"]}   # track -> class
 options.out.mkdir(parents=True, exist_ok=True)
 call("export", options.run, "--out", options.out / "path.csv", "--quiet")
 path = list(csv.DictReader((options.out / "path.csv").open()))
