@@ -60,6 +60,11 @@ std::string read_text_file(const fs::path& path) {
     return text;
 }
 
+std::string file_name_of(const fs::path& path) {
+    if (path.empty()) return "";
+    return (fs::absolute(path) / "").lexically_normal().parent_path().filename().string();
+}
+
 bool does_path_exist(const fs::path& path) { return fs::exists(status_of(path)); }
 
 void require_folder(const fs::path& path, const std::string& expected_description) {

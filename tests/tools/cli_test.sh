@@ -241,6 +241,9 @@ layouts() {
     bad 2 "--layout openlabel: kitti " render run --out kitti --layout openlabel
     bad 2 " labelled/top" render run --out labelled/top --layout kitti
     bad 2 "--layout kitti: .*--format, --merge" render run --out x --layout kitti --deskew
+    bad 2 "--layout kitti: .*--format, --merge" render run --out x --layout kitti --format npz
+    bad 2 "--out kitti: this is a data set .*--layout, .*--force" render run --out kitti
+    check "a data set has an absolute path" test "$(grep -rlIF "$PWD" kitti nuscenes openlabel labelled | wc -l)" = 0
     bad 2 '--layout: "kiti" .*openlabel' render run --out x --layout kiti
     absent x
 }

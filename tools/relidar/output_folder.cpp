@@ -22,6 +22,7 @@
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/simulate/dataset_layouts.hpp>
 #include <relidar/simulate/scan_files.hpp>
 #include <relidar/train/train.hpp>
 #include "interrupt.hpp"
@@ -141,6 +142,9 @@ void check_scan_folder(const fs::path& folder, bool overwrite) {
     if (contains_run(folder))
         fail<UsageError>("--out {}: this is a run folder; choose a different folder for scans",
                          folder.string());
+    if (const fs::path index = folder / kDatasetIndex; !overwrite && fs::exists(index))
+        fail<UsageError>("--out {}: this is a data set ({}); expected --layout, a new folder, or --force",
+                         folder.string(), kDatasetIndex);
     // Rendered scans can also be read as a log.
     if (scans.empty() && is_dataset(folder))
         fail<UsageError>("--out {}: this is a log; choose a different folder for scans", folder.string());

@@ -37,11 +37,11 @@ ObservationsByTrack observe_actors(Device& device, const Run& run, const Progres
 
 struct AssetDescription {
     std::string name;      ///< name of its folder and its track, for example "car-3"
-    std::string category;  ///< class name in the dataset, or "Discovered"
+    std::string category;  ///< class name in the dataset, or that of class_of()
     /// An object without a label counts as a vehicle if it is as large as one.
     ObjectKind kind = ObjectKind::other;
     glm::dvec3 size_m{0.0};    ///< length, width, height
-    std::string source_run;    ///< absolute path of the run from which the actor was extracted
+    std::string source_run;    ///< name of the run from which the actor was extracted
     std::string source_track;  ///< Id of the actor's track in the source run.
     /// Sensor of the source run, for which intensities and drop probabilities were
     /// trained.

@@ -16,6 +16,9 @@ namespace relidar {
 /// Returns the names of all layouts.
 std::vector<std::string> list_layouts();
 
+/// File that lists the sequences of a data set.
+inline constexpr const char* kDatasetIndex = "dataset.json";
+
 /// A LiDAR of a data set.
 struct DatasetSensor {
     ScanOutputOptions options;  ///< frame_id is the name of the sensor

@@ -61,7 +61,7 @@ struct ScanOutputOptions {
     /// Empty if the scan has expected values.
     std::optional<std::uint64_t> sample;
     Weather weather = {};
-    std::string run;  ///< folder of the run
+    std::string run;  ///< name of the run's folder
     std::string sensor;
     RangeLimits limits;
     /// Relative to the log's sensor, or to the poses of `trajectory`.
@@ -82,7 +82,7 @@ struct ScanOutputOptions {
     std::vector<BoxTrack> standing;
     glm::dvec3 world_offset_m{0.0};
     std::optional<Georeference> georeference = {};  ///< Log::georeference
-    /// File with the poses of the sensor. If empty, the poses of the log's sensor are
+    /// Name of the file with the poses of the sensor. If empty, the poses of the log's sensor are
     /// used.
     std::string trajectory;
     PacketFormatOptions packets;

@@ -9,6 +9,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/scene/labels.hpp>
 #include <relidar/simulate/point_files.hpp>
+#include "base/files.hpp"
 #include "log/georeference/georeference_json.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
@@ -237,7 +238,7 @@ ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor)
     format.vehicle_from_lidar = lidar.vehicle_from_sensor;
     format.rolling_shutter = is_rolling(sensor, run.config);
     name_topics(format, lidar.name);
-    if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
+    format.run = file_name_of(run.folder);
     format.sensor = sensor.name;
     format.limits = sensor.limits;
     if (sensor.is_log_lidar && !lidar.pattern) format.packets.sensor = lidar.sensor;

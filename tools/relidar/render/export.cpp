@@ -19,6 +19,7 @@
 #include <relidar/simulate/point_files.hpp>
 #include <relidar/simulate/render.hpp>
 #include "base/fail.hpp"
+#include "base/files.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
@@ -129,7 +130,7 @@ void write_map(const ExportOptions& options, LidarPoints points, const Log& log,
                const std::optional<MapProjector>& map) {
     const std::filesystem::path out = options.points;
     FileMetadata notes{{"relidar", RELIDAR_VERSION},
-                       {"run", absolute_path(options.run)},
+                       {"run", file_name_of(options.run)},
                        {"spacing_m", fmt::format("{}", spacing_m)}};
     glm::dvec3 origin_m = log.world_offset_m;
     std::string wkt;

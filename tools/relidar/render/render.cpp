@@ -21,6 +21,7 @@
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 #include "base/fail.hpp"
+#include "base/files.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
@@ -42,9 +43,9 @@ struct RenderOptions {
     TrajectoryOptions trajectory;
     std::string lidar;
     std::string sensor;
-    std::string vehicle_name;  ///< argument of --vehicle
-    std::string formats = "npz";
-    std::string layout;  ///< empty: writes the files of `formats`
+    std::string vehicle_name;            ///< argument of --vehicle
+    std::optional<std::string> formats;  ///< without a value: npz
+    std::string layout;                  ///< empty: writes the files of `formats`
     std::optional<std::string> channels;
     RecordingNames names;
     std::vector<std::string> sets;
@@ -66,6 +67,10 @@ struct RenderOptions {
     std::optional<double> base_link_height_m = {};  ///< computed from the run
 };
 
+std::vector<std::string> formats_of(const RenderOptions& options) {
+    return parse_formats(options.formats.value_or("npz"));
+}
+
 /// Returns how the scans of a sensor are written: formats, frames of reference and names.
 /// @param rig_sensor_name empty if there is only one sensor
 ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, const SimulatedSensor& sensor,
@@ -83,8 +88,8 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
     }
     const std::string& log_name = run.log.lidars[std::size_t(sensor.lidar)].name;
     apply_names(format, rig_sensor_name.empty() ? log_name : rig_sensor_name, options.names);
-    if (!options.trajectory.file.empty()) format.trajectory = absolute_path(options.trajectory.file);
-    format.formats = parse_formats(options.formats);
+    if (!options.trajectory.file.empty()) format.trajectory = file_name_of(options.trajectory.file);
+    format.formats = formats_of(options);
     format.frame = options.map ? PointCoordinateFrame::world : parse_frame(options.point_frame);
     format.map = options.map;
     format.deskew = options.deskew;
@@ -102,7 +107,7 @@ void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
     if (ranks.size() > 1)
         fail<UsageError>("--layout {}: found {} MPI processes; expected one", options.layout, ranks.size());
     // An option that differs from its default was set by the user.
-    if (options.formats != "npz" || options.merge || options.deskew || options.point_frame != "sensor" ||
+    if (options.formats || options.merge || options.deskew || options.point_frame != "sensor" ||
         !options.crs.empty())
         fail<UsageError>(
             "--layout {}: found --format, --merge, --deskew, --frame or --crs; the layout decides these",
@@ -112,7 +117,7 @@ void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
 /// Checks all options that do not depend on the run, before the run is loaded, because
 /// loading takes a long time.
 void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
-    const std::vector<std::string> formats = parse_formats(options.formats);
+    const std::vector<std::string> formats = formats_of(options);
     for (const std::string& format : formats)
         if (ranks.size() > 1 && is_recording(format))
             fail<UsageError>(
@@ -324,7 +329,7 @@ public:
             "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took {:.1f} ms "
             "per scan, {:.3f} Mrays/s{}\n",
             n_total, n_rays_ / n_scans, options_.out,
-            options_.layout.empty() ? fmt::format("{}", fmt::join(parse_formats(options_.formats), ", "))
+            options_.layout.empty() ? fmt::format("{}", fmt::join(formats_of(options_), ", "))
                                     : options_.layout,
             100.0 * n_returns_ / n_rays_,
             has_unseen_share_
@@ -370,11 +375,11 @@ void configure_renderer(ScanRenderer& renderer, const RenderOptions& options,
 /// Prints what the user may not expect of these scans.
 void print_render_notes(const RenderOptions& options, const Run& run, const ScanRenderer& renderer,
                         const std::vector<RenderedSensor>& sensors, int lidar) {
-    if (std::ranges::any_of(parse_formats(options.formats), is_recording))
+    if (std::ranges::any_of(formats_of(options), is_recording))
         note_time_shift(run.log, options.time_shift_ns);
     if (options.sample) note_missing_noise(run, lidar);
     const bool is_in_world = parse_frame(options.point_frame) == PointCoordinateFrame::world;
-    if (is_in_world && !options.map) note_local_las(run.log, parse_formats(options.formats));
+    if (is_in_world && !options.map) note_local_las(run.log, formats_of(options));
     note_weather(parse_weather(options.weather));
     for (const RenderedSensor& target : sensors) note_sensor(run, renderer, target.sensor);
 }

@@ -11,6 +11,7 @@
 
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
+#include "base/files.hpp"
 #include "base/text_hash.hpp"
 #include "simulate/scan_files/layouts/layout.hpp"
 
@@ -19,7 +20,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char *kIndexName = "dataset.json", *kIndexFormat = "relidar data set";
+constexpr const char* kIndexFormat = "relidar data set";
 
 struct LayoutKind {
     const char* name;
@@ -32,7 +33,7 @@ constexpr LayoutKind kLayouts[] = {
 /// @return no value if the folder has no such list
 /// @throws UsageError if the file is not such a list
 std::optional<DatasetIndex> read_index(const fs::path& folder) {
-    const fs::path file = folder / kIndexName;
+    const fs::path file = folder / kDatasetIndex;
     std::error_code failed;
     if (!fs::exists(file, failed)) return std::nullopt;
     try {
@@ -85,7 +86,7 @@ void write_index(const fs::path& folder, const DatasetIndex& index) {
                              {"settings", sequence.settings}});
     }
     const Json json = {{"format", kIndexFormat}, {"layout", index.layout}, {"sequences", sequences}};
-    write_bytes(folder / kIndexName, json.dump(1) + "\n");
+    write_bytes(folder / kDatasetIndex, json.dump(1) + "\n");
 }
 
 std::string describe_pose(const Pose& pose) {
@@ -114,7 +115,7 @@ Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vec
         }
     for (const ConfigKey& key : list_config_keys(options.config)) settings += key.key + key.value + "\n";
     return {{"run", options.run},
-            {"source", options.config.dataset.path},
+            {"source", file_name_of(options.config.dataset.path)},
             {"licence", "unknown: see the source"},
             {"relidar", RELIDAR_VERSION},
             {"sensors (x,y,z w,x,y,z)", sensor_poses},

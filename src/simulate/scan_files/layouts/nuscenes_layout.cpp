@@ -12,6 +12,7 @@
 #include <relidar/base/images.hpp>
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
+#include "base/files.hpp"
 
 namespace relidar::layouts {
 namespace {
@@ -135,7 +136,7 @@ public:
                                    {"location", "unknown"}});
         records_["scene"].push_back({{"token", token("scene")},
                                      {"name", scene_name(place_.number)},
-                                     {"description", sensors_[0].options.config.dataset.path},
+                                     {"description", file_name_of(sensors_[0].options.config.dataset.path)},
                                      {"log_token", log},
                                      {"nbr_samples", place_.n_frames},
                                      {"first_sample_token", token("sample", "0")},
