@@ -68,12 +68,17 @@ bool has_word(const std::string& word_list, const std::string& word) {
     return std::find(words.begin(), words.end(), word) != words.end();
 }
 
+/// Returns true if a list has the class of a box: its name in the dataset, its name in
+/// relidar or its kind.
+bool has_class(const std::string& class_list, const BoxTrack& box) {
+    return class_list == kEveryClass || has_word(class_list, box.category) ||
+           has_word(class_list, name_of(class_of(box))) || has_word(class_list, name_of(guess_kind(box)));
+}
+
 bool is_actor(const BoxTrack& box, const InitOptions& options) {
-    if (options.unlabelled_movers == UnlabelledMoverPolicy::actors && box.category == kDiscoveredCategory)
-        return true;
+    if (options.unlabelled_movers == UnlabelledMoverPolicy::actors && is_discovered(box)) return true;
     if (!options.actor_tracks.empty()) return has_word(options.actor_tracks, box.id);
-    return options.actor_classes == kEveryClass || has_word(options.actor_classes, box.category) ||
-           has_word(options.actor_classes, name_of(parse_kind(box.category)));
+    return has_class(options.actor_classes, box);
 }
 
 /// Checks that the size of a box is positive and that all its poses are finite.
@@ -123,9 +128,7 @@ std::optional<DeformingActorSurfels> deform_selected(const BoxTrack& box, const 
                                                      const InitOptions& options, double incidence,
                                                      std::vector<std::string>* notes,
                                                      const Progress& progress) {
-    const bool is_selected = options.deform == kEveryClass || has_word(options.deform, box.category) ||
-                             has_word(options.deform, name_of(guess_kind(box)));
-    if (!is_selected) return std::nullopt;
+    if (!has_class(options.deform, box)) return std::nullopt;
     DeformingActorSurfels deforming =
         make_deforming(samples, options, incidence, std::size_t(options.actor_points), progress);
     const bool is_rigid = !deforming.why_rigid.empty();

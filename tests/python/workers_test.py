@@ -121,7 +121,7 @@ class Spawn(TestCase):
         scan = loaded.render(time=time, actors={"copy": pose}, boxes=True)
         self.assert_same(scan["range"], moved["range"])
         self.assertEqual(list(scan["boxes"]["track"]), ["copy"])
-        self.assert_same(scan["boxes"]["category"], moved["boxes"]["category"])
+        self.assert_same(scan["boxes"]["class"], moved["boxes"]["class"])
         self.assert_same(scan["boxes"]["points"], moved["boxes"]["points"])
         names = list(scan["instance_names"])
         self.assert_same(scan["instance"] == names.index("copy"), moved["instance"] == names.index(track))
@@ -163,7 +163,7 @@ class Dataset(TestCase):
         scan = run().render(time=run().times[3], deskew=True, boxes=True)
         wall = np.flatnonzero(((scan["instance"] == 0) & (scan["points"][..., 2] > -1) & (scan["drop_prob"] < 0.5)).ravel())[0]
         centre = scan["pose"] @ np.append(scan["points"].reshape(-1, 3)[wall], 1)
-        parked = {"track": "parked", "category": "Car", "is_static": 1, "size_m": [2.0, 2.0, 2.0], "pose": relidar.pose(*centre[:3], 30), "points": 9}
+        parked = {"track": "parked", "class": "Car", "is_static": 1, "size_m": [2.0, 2.0, 2.0], "pose": relidar.pose(*centre[:3], 30), "points": 9}
         scan["boxes"] = {name: np.concatenate([scan["boxes"][name], np.array([value])]) for name, value in parked.items()}
         item = ScanDataset(mock.Mock(times=run().times, categories={}, render=lambda *_, **__: scan), classes=["Car"])[3]
         last = len(item["boxes"]) - 1

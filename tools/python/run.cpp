@@ -100,18 +100,19 @@ std::pair<ScanRequest, SimulatedSensor> prepare_scan(const RenderArguments& argu
 /// Returns the boxes of a scan as arrays with one row per box.
 py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& options) {
     const std::vector<ActorBox> boxes = actor_boxes_of(scan, options);
-    std::vector<std::string> tracks, categories, kinds, notes;
+    std::vector<std::string> tracks, classes, labels, notes;
     std::vector<double> sizes_m, times_s, poses, velocities_mps, shares;
-    std::vector<std::int32_t> points, is_static;
+    std::vector<std::int32_t> points, is_static, is_discovered;
     const auto append = [](std::vector<double>& values, const glm::dvec3& vector) {
         values.insert(values.end(), {vector.x, vector.y, vector.z});
     };
     for (const ActorBox& box : boxes) {
         tracks.push_back(box.track);
-        categories.push_back(box.category);
-        kinds.emplace_back(name_of(box.kind));
+        classes.push_back(name_of(box.object_class));
+        labels.push_back(box.label);
         notes.emplace_back(name_of(box.note));
         is_static.push_back(box.is_static);
+        is_discovered.push_back(box.is_discovered);
         append(sizes_m, box.size_m);
         append(velocities_mps, box.velocity_mps);
         times_s.push_back(box.time_s);
@@ -120,9 +121,10 @@ py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& opt
         append_pose(poses, box.dataset_from_box);
     }
     const std::size_t n = boxes.size();
-    return to_array_dict({make_text_array("track", tracks), make_text_array("category", categories),
-                          make_text_array("class", kinds), make_text_array("note", notes),
+    return to_array_dict({make_text_array("track", tracks), make_text_array("class", classes),
+                          make_text_array("label", labels), make_text_array("note", notes),
                           make_array("is_static", {n}, is_static.data(), n),
+                          make_array("is_discovered", {n}, is_discovered.data(), n),
                           make_array("size_m", {n, 3}, sizes_m.data(), sizes_m.size()),
                           make_array("time_s", {n}, times_s.data(), n),
                           make_array("pose", {n, 4, 4}, poses.data(), poses.size()),
@@ -293,8 +295,9 @@ constexpr const char* kHelpAfterWeather =
     "has this information and the scan shows the background.\n"
     "With `boxes`, also the dict boxes of the n actors and standing objects that a ray would hit, each at "
     "the time at which the sensor faces it: track,\n"
-    "category, class (vehicle, cyclist, person, other) and note (\"\", \"covered\", \"not_observed\") [n] "
-    "str, is_static [n] int32 (1: part of the background),\n"
+    "class (Car, Van, Truck, Bus, Trailer, Cyclist, Motorcycle, Pedestrian, Other), label (the class in the "
+    "dataset) and note (\"\", \"covered\", \"not_observed\") [n]\n"
+    "str, is_static (1: part of the background) and is_discovered (1: moves and has no label) [n] int32,\n"
     "size_m [n,3], time_s [n], pose of the centre [n,4,4], velocity_mps [n,3] float64, points (first returns "
     "on it) [n] int32, visible_share [n].\n\n"
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
@@ -411,7 +414,7 @@ void bind_properties(py::class_<LoadedRun>& run_class) {
                 std::map<std::string, std::string> categories;
                 for (const ModelInstance& instance : run.run.scene.instances)
                     if (const BoxTrack* box = find_box(run.run.log, instance.track))
-                        categories[box->id] = label_of(*box);
+                        categories[box->id] = name_of(class_of(*box));
                 return categories;
             },
             "Class names of the actors, as in the boxes of render(): dict of track -> name.")

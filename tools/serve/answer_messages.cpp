@@ -63,7 +63,8 @@ void write_actor(const Run& run, const std::string& actor_name, v1::Actor& messa
     const BoxTrack* box = find_box(run.log, actor_name);
     if (!box) return;
     const PoseTrack& track = box->world_from_box;
-    message.set_category(label_of(*box));
+    message.set_category(name_of(class_of(*box)));
+    message.set_label(label_of(*box));
     write_vector(box->size_m, *message.mutable_size_m());
     message.set_poses(track.pose.size());
     // Length of the path through all poses.
@@ -132,14 +133,15 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
         v1::ActorBox& written = *message.add_boxes();
         const auto name = name_of_track.find(box.track);
         written.set_name(name == name_of_track.end() ? box.track : name->second);
-        written.set_category(box.category);
+        written.set_category(name_of(box.object_class));
+        written.set_label(box.label);
+        written.set_is_discovered(box.is_discovered);
         write_vector(box.size_m, *written.mutable_size_m());
         written.set_time_s(box.time_s);
         write_pose(box.dataset_from_box, *written.mutable_dataset_from_box());
         write_vector(box.velocity_mps, *written.mutable_velocity_mps());
         written.set_points(box.n_points);
         written.set_visible_share(box.visible_share);
-        written.set_kind(name_of(box.kind));
         written.set_is_static(box.is_static);
         written.set_note(name_of(box.note));
     }

@@ -161,7 +161,7 @@ void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicOb
         if (!box) continue;
         sensorsim::DynamicObjectTrack& object = *message.add_dynamic_objects();
         object.set_id(name);
-        object.set_semantic_class(label_of(*box));
+        object.set_semantic_class(name_of(class_of(*box)));
         write_vector(box->size_m, *object.mutable_object_size());
         // Leaves out poses before 0 s, because the message format has no negative times.
         const PoseTrack& track = box->world_from_box;

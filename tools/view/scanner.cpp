@@ -11,6 +11,7 @@
 
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/edit.hpp>
+#include <relidar/scene/labels.hpp>
 #include "base/fail.hpp"
 
 #include "frame.hpp"
@@ -45,7 +46,7 @@ Json copyable_actors(const Run& run) {
     Json actors = Json::array();
     for (const ModelInstance& instance : run.scene.instances) {
         if (const BoxTrack* box = find_box(run.log, instance.track))
-            actors.push_back({{"track", box->id}, {"category", box->category}});
+            actors.push_back({{"track", box->id}, {"category", name_of(class_of(*box))}});
     }
     return actors;
 }

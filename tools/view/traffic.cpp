@@ -9,6 +9,7 @@
 
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/assets.hpp>
 #include "base/fail.hpp"
 
@@ -164,7 +165,7 @@ nlohmann::json EditedTraffic::actors_json(double time_s) const {
         const BoxTrack* box = find_box(driving_.log, instance.track);
         if (!box) continue;
         actors.push_back({{"track", box->id},
-                          {"category", box->category},
+                          {"category", name_of(class_of(*box))},
                           {"size", {box->size_m.x, box->size_m.y, box->size_m.z}},
                           {"present", box->is_observed(time_s)},
                           {"pose", pose_json(box->world_from_box.pose_at(time_s))}});

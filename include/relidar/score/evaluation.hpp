@@ -39,8 +39,9 @@ struct RangeErrorCounts {
 ///                         the box is at another time of the log, but no box is now
 struct ActorScore {
     std::string track;     ///< Id of the box.
-    std::string category;  ///< Class of the box.
+    std::string category;  ///< name_of(class_of()) the box
     MetricValues metrics;  ///< Metrics that are not defined are left out.
+    bool is_discovered = false;
 };
 
 struct ScoredFrame {

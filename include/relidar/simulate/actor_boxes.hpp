@@ -8,6 +8,7 @@
 #include <vector>
 
 #include <relidar/base/math.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/scene/scene.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
@@ -27,9 +28,10 @@ const char* name_of(LabelNote note);
 /// Only then the box of a moving actor matches its points.
 struct ActorBox {
     std::string track;
-    std::string category;  ///< label_of() the object
-    ObjectKind kind = ObjectKind::other;
-    bool is_static = false;  ///< true for a standing object that is part of the background
+    ObjectClass object_class{};
+    std::string label;           ///< label_of() the object
+    bool is_discovered = false;  ///< true for a moving object without a label
+    bool is_static = false;      ///< true for a standing object that is part of the background
     LabelNote note = LabelNote::none;
     glm::dvec3 size_m{0.0};        ///< length, width and height
     double time_s = 0.0;           ///< time of the box, in the time of the log

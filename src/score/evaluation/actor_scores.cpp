@@ -6,6 +6,7 @@
 #include <map>
 #include <optional>
 
+#include <relidar/scene/labels.hpp>
 #include <relidar/scene/scene.hpp>
 #include <relidar/score/evaluation.hpp>
 #include "base/median.hpp"
@@ -267,9 +268,12 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
         if (either > 0.0) row["f1"] = both / either;
         row["tail"] = double(tails.n_of_box[k]);
         row["tail_real"] = double(real_tails.n_of_box[k]);
-        scores.actors.push_back({.track = box.id, .category = box.category, .metrics = row});
+        scores.actors.push_back({.track = box.id,
+                                 .category = name_of(class_of(box)),
+                                 .metrics = row,
+                                 .is_discovered = is_discovered(box)});
         // The groups contain only labelled boxes with enough real points.
-        if (points.real_m.size() < kMinRealPoints || box.category == kDiscoveredCategory) continue;
+        if (points.real_m.size() < kMinRealPoints || is_discovered(box)) continue;
         BoxGroupErrors& group = is_person_or_cyclist(box.category) ? people : vehicles;
         group.add_box(points);
     }
@@ -281,6 +285,7 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
 std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame) {
     struct ActorSums {
         std::string category;
+        bool is_discovered = false;
         MetricValues counts;  // numbers of points
         // Of the other metrics. A frame can lack some, so each has its own weights.
         MetricValues weighted_sums, weight_sums;
@@ -290,6 +295,7 @@ std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>
         for (const ActorScore& actor : frame) {
             ActorSums& sums = sums_by_track[actor.track];
             sums.category = actor.category;
+            sums.is_discovered = actor.is_discovered;
             const double weight = actor.metrics.at("points_real");
             for (const auto& [name, value] : actor.metrics) {
                 const bool is_count = name.starts_with("points") || name.starts_with("tail");
@@ -303,7 +309,8 @@ std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>
         }
     std::vector<ActorScore> actors;
     for (const auto& [track, sums] : sums_by_track) {
-        ActorScore& actor = actors.emplace_back(ActorScore{track, sums.category, sums.counts});
+        ActorScore& actor =
+            actors.emplace_back(ActorScore{track, sums.category, sums.counts, sums.is_discovered});
         for (const auto& [name, sum] : sums.weighted_sums) {
             const double weight = sums.weight_sums.at(name);
             if (weight > 0.0) actor.metrics[name] = sum / weight;
@@ -321,8 +328,8 @@ std::optional<double> median_points_error(const std::vector<ActorScore>& actors)
     std::vector<double> errors;
     for (const ActorScore& actor : actors) {
         const double n_real = actor.metrics.at("points_real");
-        const bool is_labelled = actor.category != kDiscoveredCategory;
-        if (n_real < double(kMinRealPoints) || !is_labelled || is_person_or_cyclist(actor.category)) continue;
+        if (n_real < double(kMinRealPoints) || actor.is_discovered || is_person_or_cyclist(actor.category))
+            continue;
         errors.push_back(std::abs(actor.metrics.at("points") / n_real - 1.0));
     }
     return errors.empty() ? std::nullopt : std::optional(compute_median(std::move(errors)));

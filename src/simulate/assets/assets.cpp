@@ -23,7 +23,7 @@ namespace {
 /// Returns the name of an asset, for example "car-3". It contains only characters that
 /// are valid in file names. If an object has no class, the name is its track id.
 std::string make_asset_name(const BoxTrack& box) {
-    std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
+    std::string name = is_discovered(box) ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
         const auto byte = static_cast<unsigned char>(c);
         if (byte < 0x80 && std::isalnum(byte)) c = char(std::tolower(byte));
@@ -147,10 +147,10 @@ AssetDescription describe_actor(const Run& run, const BoxTrack& box, const Obser
                                 double nearest_m) {
     AssetDescription facts;
     facts.name = make_asset_name(box);
-    facts.category = box.category;
+    facts.category = is_discovered(box) ? name_of(class_of(box)) : box.category;
     facts.kind = guess_kind(box);
     facts.size_m = box.size_m;
-    if (!run.folder.empty()) facts.source_run = fs::absolute(run.folder).lexically_normal().string();
+    facts.source_run = file_name_of(run.folder);
     facts.source_track = box.id;
     facts.sensor = run.log.lidars.front().sensor.name;
     for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.observed_fraction(BoxSide(s));

@@ -342,7 +342,8 @@ std::string encode_actor(const RecordedActor& actor) {
     const ObjectState& state = actor.faced;
     const glm::dquat& world_from_box = state.world_from_object.rotation;
     std::vector<std::pair<const char*, std::string>> metadata = {
-        {"category", label_of(*actor.box)},
+        {"class", name_of(class_of(*actor.box))},
+        {"category", actor.box->category},
         {"velocity_mps", format_vector(world_from_box * state.velocity.linear_mps)},
         {"angular_velocity_radps", format_vector(world_from_box * state.velocity.angular_radps)},
         {"is_static", actor.is_static ? "true" : "false"},

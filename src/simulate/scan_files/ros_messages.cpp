@@ -183,7 +183,7 @@ std::string encode_detections(const RecordedSweep& sweep) {
     for (const RecordedActor& actor : sweep.actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
         // one class with a score of 1, because the class is known exactly
-        cdr.add_number(std::uint32_t(1)).append_string(label_of(*actor.box)).add_number(1.0);
+        cdr.add_number(std::uint32_t(1)).append_string(name_of(class_of(*actor.box))).add_number(1.0);
         add_pose(cdr, actor.faced.world_from_object);
         add_covariance(cdr);
         add_pose(cdr, actor.faced.world_from_object);
@@ -193,27 +193,8 @@ std::string encode_detections(const RecordedSweep& sweep) {
     return cdr.take_message();
 }
 
-/// The first matching word decides, so "caravan" precedes "car".
-struct AutowareLabel {
-    const char* word;
-    std::uint8_t number;
-};
-constexpr AutowareLabel kAutowareLabels[] = {
-    {"caravan", 4}, {"trailer", 4}, {"truck", 2}, {"large_vehicle", 2}, {"bus", 3},    {"motorcycl", 5},
-    {"bicycl", 6},  {"cyclist", 6}, {"rider", 6}, {"pedestrian", 7},    {"person", 7}, {"people", 7},
-    {"animal", 8},  {"dog", 8},     {"car", 1},   {"van", 1},           {"vehicle", 1}};
-constexpr std::uint8_t kUnknownLabel = 0;
-
-/// Returns Autoware's number of the class whose word the dataset's category contains.
-std::uint8_t autoware_label(std::string category) {
-    std::ranges::transform(category, category.begin(), [](unsigned char character) {
-        return static_cast<char>(std::tolower(character));
-    });
-    const auto match = std::ranges::find_if(kAutowareLabels, [&](const AutowareLabel& label) {
-        return category.find(label.word) != std::string::npos;
-    });
-    return match == std::end(kAutowareLabels) ? kUnknownLabel : match->number;
-}
+/// [ObjectClass] numbers of Autoware's classes; 0: unknown
+constexpr std::uint8_t kAutowareLabels[] = {1, 1, 2, 3, 4, 6, 5, 7, 0};
 
 /// Adds a UUID that depends only on a name, so that an actor has the same UUID in all
 /// files. It consists of two FNV-1a hashes. Its version is 8 (custom UUID).
@@ -243,7 +224,7 @@ std::string encode_tracked(const RecordedSweep& sweep) {
         // probabilities are 1.
         cdr.add_number(1.0f)
             .add_number(std::uint32_t(1))
-            .add_number(autoware_label(label_of(*actor.box)))
+            .add_number(kAutowareLabels[std::size_t(class_of(*actor.box))])
             .add_number(1.0f);
         add_pose(cdr, actor.at_stamp.world_from_object);
         add_covariance(cdr);

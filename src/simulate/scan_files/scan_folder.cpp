@@ -195,8 +195,9 @@ Json boxes_json(const std::vector<ActorBox>& boxes) {
     Json json = Json::array();
     for (const ActorBox& box : boxes)
         json.push_back({{"track", box.track},
-                        {"category", box.category},
-                        {"class", name_of(box.kind)},
+                        {"class", name_of(box.object_class)},
+                        {"label", box.label},
+                        {"is_discovered", box.is_discovered},
                         {"is_static", box.is_static},
                         {"note", name_of(box.note)},
                         {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},

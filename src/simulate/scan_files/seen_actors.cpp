@@ -223,8 +223,9 @@ std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputO
             pose.rotation * scan_files::object_velocity(actor.world_from_box, actor.faced_s).linear_mps;
         const BoxTrack& box = *actor.box;
         boxes.push_back({.track = box.id,
-                         .category = label_of(box),
-                         .kind = guess_kind(box),
+                         .object_class = class_of(box),
+                         .label = label_of(box),
+                         .is_discovered = is_discovered(box),
                          .is_static = actor.is_static,
                          .note = actor.note,
                          .size_m = box.size_m,

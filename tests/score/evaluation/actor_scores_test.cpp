@@ -134,9 +134,11 @@ TEST_F(ActorScoresOf, NumbersOfPointsAreComparedOverLabelledVehicles) {
     };
     EXPECT_FALSE(median_points_error({make("Pedestrian", 30, 20), make("Car", 5, 9)}))
         << "people and boxes with few points do not count";
+    ActorScore discovered = make("Car", 900, 100);
+    discovered.is_discovered = true;
     const std::optional<double> error =
         median_points_error({make("Car", 80, 100), make("Van", 150, 100), make("Truck", 103, 100),
-                             make("Cyclist", 900, 100), make("Discovered", 900, 100)});
+                             make("Cyclist", 900, 100), discovered});
     EXPECT_NEAR(error.value(), 0.2, 1e-12);
 }
 

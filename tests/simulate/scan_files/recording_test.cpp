@@ -94,10 +94,11 @@ TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
     std::string text = read_contents(folder / "scans.json");
     std::erase_if(text, [](char character) { return character == ' ' || character == '\n'; });
     EXPECT_THAT(
-        text, testing::HasSubstr(
-                  R"("boxes":[{"track":"car","category":"Van","class":"vehicle","is_static":false,"note":"",)"
-                  R"("size_m":[4.0,2.0,1.5],"time_s":1.0625,"world_from_box":[[1.0,0.0,0.0,)"
-                  R"(0.0],[0.0,1.0,0.0,5.625],[0.0,0.0,1.0,0.0],[0.0,0.0,0.0,1.0]],)"));
+        text,
+        testing::HasSubstr(
+            R"("boxes":[{"track":"car","class":"Van","label":"Van","is_discovered":false,)"
+            R"("is_static":false,"note":"","size_m":[4.0,2.0,1.5],"time_s":1.0625,"world_from_box":[[1.0,0.0,0.0,)"
+            R"(0.0],[0.0,1.0,0.0,5.625],[0.0,0.0,1.0,0.0],[0.0,0.0,0.0,1.0]],)"));
     EXPECT_THAT(text, testing::HasSubstr(R"("points":1,"visible_share":0.75}])"));
     EXPECT_THAT(text, testing::HasSubstr(R"("boxes":[])")) << "views were not computed";
 }

@@ -93,7 +93,7 @@ class ScanDataset:
             inside = np.all((in_box >= [*(-half[:2] - _MARGIN_M), _GROUND_M - half[2]]) & (in_box <= half + _MARGIN_M), axis=1)
             row_of_point[inside & (instance == 0)] = row
         number_of = {name: number for number, name in enumerate(self.classes)}
-        classes = [number_of.get(str(name), -1) for name in labels["category"][kept]]
+        classes = [number_of.get(str(name), -1) for name in labels["class"][kept]]
         return {
             "points": torch.from_numpy(np.ascontiguousarray(points, np.float32)),
             "instance": torch.from_numpy(row_of_point),

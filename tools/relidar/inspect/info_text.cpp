@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/log/checks.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "console.hpp"
@@ -71,7 +72,9 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool show_instance_c
     for (const BoxSummary& summary : boxes) {
         const BoxTrack& box = summary.box;
         const glm::dvec3& start_m = summary.start_m;
-        std::string box_class = box.category;
+        std::string box_class = name_of(class_of(box));
+        if (is_discovered(box)) box_class += " (discovered)";
+        else if (box_class != box.category) box_class += fmt::format(" ({})", box.category);
         if (!box.size_guess.empty()) box_class += fmt::format(", {}?", box.size_guess);
         rows.push_back({box.id, box_class});
         for (const int axis : {0, 1, 2}) rows.back().push_back(fmt::format("{:.2f} m", box.size_m[axis]));
@@ -102,7 +105,9 @@ std::string convention_table(const std::vector<UsedConvention>& conventions) {
 Json summary_json(const BoxSummary& summary) {
     const BoxTrack& box = summary.box;
     Json json = {{"id", box.id},
-                 {"category", box.category},
+                 {"class", name_of(class_of(box))},
+                 {"label", label_of(box)},
+                 {"is_discovered", is_discovered(box)},
                  {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
                  {"frames", summary.n_frames},
                  {"first_frame", summary.first_frame},
