@@ -17,10 +17,6 @@ std::string read_file(const std::filesystem::path& path);
 /// @throws DataError if the file cannot be read, or begins with a UTF-16 byte-order mark
 std::string read_text_file(const std::filesystem::path& path);
 
-/// Returns the last part of a path, also of a folder that ends in "/". Files that users
-/// share have this name instead of the path.
-std::string file_name_of(const std::filesystem::path& path);
-
 bool does_path_exist(const std::filesystem::path& path);
 
 void require_folder(const std::filesystem::path& path, const std::string& expected_description);

@@ -32,6 +32,10 @@ void remove_temp(const std::filesystem::path& folder);
 /// complete.
 void write_text_file(const std::filesystem::path& path, const std::string& text);
 
+/// Returns the last part of a path, also of a folder that ends in "/". Files that users
+/// share have this name instead of the path.
+std::string file_name_of(const std::filesystem::path& path);
+
 /// Temporary folder that gets its final name when it is complete.
 /// replace_folder() renames the temporary folder and replaces an
 /// existing folder with the final name. If replace_folder() is not

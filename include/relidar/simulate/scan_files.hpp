@@ -82,8 +82,8 @@ struct ScanOutputOptions {
     std::vector<BoxTrack> standing;
     glm::dvec3 world_offset_m{0.0};
     std::optional<Georeference> georeference = {};  ///< Log::georeference
-    /// Name of the file with the poses of the sensor. If empty, the poses of the log's sensor are
-    /// used.
+    /// Name of the file with the poses of the sensor. If empty, the poses of the log's
+    /// sensor are used.
     std::string trajectory;
     PacketFormatOptions packets;
     /// Added to times of the log in recordings and packets (time_shift_of()).

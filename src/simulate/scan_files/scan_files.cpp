@@ -5,11 +5,11 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/base/files.hpp>
 #include <relidar/log/log_time.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/scene/labels.hpp>
 #include <relidar/simulate/point_files.hpp>
-#include "base/files.hpp"
 #include "log/georeference/georeference_json.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"

@@ -11,6 +11,7 @@
 #include <fmt/ranges.h>
 #include <CLI/CLI.hpp>
 
+#include <relidar/base/files.hpp>
 #include <relidar/log/trajectory_csv.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
@@ -19,7 +20,6 @@
 #include <relidar/simulate/point_files.hpp>
 #include <relidar/simulate/render.hpp>
 #include "base/fail.hpp"
-#include "base/files.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"

@@ -11,6 +11,7 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
+#include <relidar/base/files.hpp>
 #include <relidar/log/channels.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/read/packets.hpp>
@@ -21,7 +22,6 @@
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 #include "base/fail.hpp"
-#include "base/files.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"

@@ -9,9 +9,9 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <relidar/base/files.hpp>
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
-#include "base/files.hpp"
 #include "base/text_hash.hpp"
 #include "simulate/scan_files/layouts/layout.hpp"
 

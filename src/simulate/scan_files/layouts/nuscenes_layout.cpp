@@ -9,10 +9,10 @@
 
 #include <fmt/format.h>
 
+#include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
-#include "base/files.hpp"
 
 namespace relidar::layouts {
 namespace {
