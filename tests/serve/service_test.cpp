@@ -220,7 +220,8 @@ TEST_F(Service, BoxesAreThoseOfTheRequestAndCountItsPoints) {
     ASSERT_EQ(scan.boxes_size(), 2);
     const v1::ActorBox &car = scan.boxes(0), &hidden = scan.boxes(1);
     EXPECT_EQ(car.name() + hidden.name(), "carhidden");
-    EXPECT_EQ(car.category() + hidden.category(), "CarCar");
+    EXPECT_EQ(car.category() + car.label() + hidden.category(), "CarCarCar");
+    EXPECT_FALSE(car.is_discovered());
     EXPECT_EQ(hidden.size_m().y(), 1.0);
     EXPECT_NEAR(car.time_s(), 0.5, 1e-3) << "the sensor faces ahead at the time of the scan";
     const double travelled_m = 5.0 * (car.time_s() - 0.4);
@@ -361,7 +362,7 @@ TEST_F(Service, TellsWhatItServes) {
     ASSERT_EQ(list.scenes_size(), 2);
     EXPECT_THAT(list.scenes(1), IsMessage(R"(name: "other" end_s: 1
         lidars { sensor: "small" rays: 192 period_s: 0.1 }
-        actors { name: "car" category: "Car" size_m { x: 1 y: 1 z: 1 } end_s: 1 poses: 2 })"));
+        actors { name: "car" category: "Car" label: "Car" size_m { x: 1 y: 1 z: 1 } end_s: 1 poses: 2 })"));
     EXPECT_THAT(list.sensors(), testing::Contains("VLP-16"));
     const v1::GetTracksResponse tracks =
         call(*calls, &Stub::GetTracks, parse<v1::GetTracksRequest>("scene: 'other'")).answer;

@@ -52,7 +52,7 @@ boxes = json.loads(pathlib.Path(npz).with_name("scans.json").read_text())["scans
 check(f"{len(scan.boxes)} boxes, expected {len(boxes)}, at least 1", len(scan.boxes) == len(boxes) > 0)
 for served, expected in zip(scan.boxes, boxes):
     pose, what = served.dataset_from_box.translation, f"box {expected['track']}"
-    check(f"{what}: {served.name} of class {served.category}", (served.name, served.category) == (expected["track"], expected["category"]))
+    check(f"{what}: {served.name} of class {served.category}", (served.name, served.category) == (expected["track"], expected["class"]))
     check(f"{what}: {served.points} points, share {served.visible_share}",
           (served.points, served.visible_share) == (expected["points"], expected["visible_share"]))
     check(f"{what}: another time or pose", np.allclose([served.time_s, pose.x, pose.y, pose.z],
