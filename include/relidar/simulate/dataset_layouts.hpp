@@ -4,6 +4,7 @@
 #pragma once
 
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <span>
 #include <string>
@@ -27,6 +28,13 @@ struct DatasetSensor {
     /// Sequences that differ here are different sequences.
     std::string description = {};
 };
+
+/// Names of classes in a data set, by the name of a class (name_of(ObjectClass)) or by a
+/// label of the log, which comes first. Objects with an empty name are left out.
+using ClassNames = std::map<std::string, std::string>;
+/// Reads pairs of names from a TOML or JSON file, for example {"Van": "Car", "Other": ""}.
+/// @throws DataError if the file has something else, or a name has spaces
+ClassNames read_class_names(const std::filesystem::path& path);
 
 /// Checks a folder before long work starts.
 /// @throws UsageError if a layout is unknown, or if the folder has other files or a data

@@ -84,10 +84,9 @@ public:
         if (failed) write_rig_points(tracked_points, frame, sensors_);
         std::string labels;
         for (const LabelledObject& label : frame.objects) {
-            const char* type = find_object_names(label.category).kitti;
             const std::string columns = label_columns(label, frame.world_from_rig);
-            labels += fmt::format("{} {:.2f} {}\n", type, label.truncated, columns);
-            tracks_ += fmt::format("{} {} {} {} {}\n", frame.index, label.number, type,
+            labels += fmt::format("{} {:.2f} {}\n", label.name, label.truncated, columns);
+            tracks_ += fmt::format("{} {} {} {} {}\n", frame.index, label.number, label.name,
                                    truncation_level(label.truncated), columns);
         }
         write_bytes(object / "label_2" / (name + ".txt"), labels);

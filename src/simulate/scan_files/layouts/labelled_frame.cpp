@@ -17,27 +17,6 @@
 namespace relidar::layouts {
 namespace {
 
-struct NamesOfWord {
-    const char* word;
-    ObjectNames names;
-};
-/// The first word that a category contains decides, so "caravan" precedes "van".
-constexpr NamesOfWord kNamesOfWords[] = {{"caravan", {"Misc", "vehicle.trailer", 20, 259}},
-                                         {"trailer", {"Misc", "vehicle.trailer", 20, 259}},
-                                         {"bus", {"Misc", "vehicle.bus.rigid", 13, 257}},
-                                         {"truck", {"Truck", "vehicle.truck", 18, 258}},
-                                         {"large_vehicle", {"Truck", "vehicle.truck", 18, 258}},
-                                         {"tram", {"Tram", "vehicle.train", 16, 256}},
-                                         {"train", {"Tram", "vehicle.train", 16, 256}},
-                                         {"van", {"Van", "vehicle.car", 10, 252}},
-                                         {"motorcycl", {"Cyclist", "vehicle.motorcycle", 32, 255}},
-                                         {"sitting", {"Person_sitting", "human.pedestrian.adult", 30, 254}}};
-/// [ObjectKind] names of categories without such a word
-constexpr ObjectNames kNamesOfKinds[] = {{"Car", "vehicle.car", 10, 252},
-                                         {"Cyclist", "vehicle.bicycle", 31, 253},
-                                         {"Pedestrian", "human.pedestrian.adult", 30, 254},
-                                         {"Misc", "other", 99, 259}};
-
 /// Directions that the rays of a scan cover: azimuths between neighbouring rays, and an
 /// interval of elevations for each sector of azimuth.
 class FieldOfView {
@@ -101,7 +80,8 @@ double share_outside(const std::vector<FieldOfView>& views, const std::vector<Po
 LabelledObject describe_object(const scan_files::ActorInScan& actor, int number, std::size_t n_points) {
     const BoxTrack& box = *actor.box;
     return {.track = box.id,
-            .category = label_of(box),
+            .object_class = class_of(box),
+            .label = label_of(box),
             .number = number,
             .is_static = actor.is_static,
             .moves = box.is_moving(),
@@ -140,18 +120,6 @@ std::vector<LabelledObject> find_seen_objects(std::span<const RenderedScan> scan
 }
 
 }  // namespace
-
-ObjectNames find_object_names(const std::string& category) {
-    std::string word = category;
-    std::ranges::transform(word, word.begin(), [](unsigned char c) { return char(std::tolower(c)); });
-    for (const NamesOfWord& row : kNamesOfWords)
-        if (word.find(row.word) != std::string::npos) return row.names;
-    return kNamesOfKinds[std::size_t(parse_kind(category))];
-}
-
-std::string nuscenes_category(const std::string& category) {
-    return category.find('.') == std::string::npos ? find_object_names(category).nuscenes : category;
-}
 
 /// Returns the points of all sensors at one time, and the labelled boxes of the objects
 /// that at least one point shows.

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include <relidar/read/points.hpp>
+#include <relidar/scene/labels.hpp>
 #include <relidar/simulate/dataset_layouts.hpp>
 #include <relidar/simulate/render.hpp>
 
@@ -23,16 +24,15 @@ struct ObjectNames {
     int still_class, moving_class;
 };
 
-/// Returns the names for a class name of any dataset.
-ObjectNames find_object_names(const std::string& category);
-
-/// Returns the name of nuScenes. Keeps a name that already has the form of nuScenes.
-std::string nuscenes_category(const std::string& category);
+const ObjectNames& find_object_names(ObjectClass object_class);
 
 using Json = nlohmann::ordered_json;
 
 struct LabelledObject {
-    std::string track, category;               ///< category: label_of() the object
+    std::string track;
+    ObjectClass object_class{};
+    std::string label = {};                    ///< label_of() the object
+    std::string name = {};                     ///< of the class in the layout, name_object()
     int number = 0;                            ///< number of the track in the sequence, from 0
     bool is_static = false;                    ///< true for an object that is part of the background
     bool moves = false;                        ///< true if the object moves at any time
@@ -52,6 +52,10 @@ struct LabelledFrame {
     std::vector<int> n_rings = {};         ///< [sensors]
     std::vector<LabelledObject> objects = {};
 };
+
+/// Returns the name of an object's class in a layout.
+/// @param chosen  names that the user has chosen
+std::string name_object(const std::string& layout, const LabelledObject& object, const ClassNames& chosen);
 
 LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector<DatasetSensor>& sensors,
                           std::size_t index);

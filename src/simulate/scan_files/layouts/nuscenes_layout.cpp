@@ -218,7 +218,7 @@ private:
         std::vector<Json>& all = records_["sample_annotation"];
         TrackRecords& of_track = records_of_[track];
         if (of_track.n_annotations == 0) {
-            const std::string category = nuscenes_category(object.category);
+            const std::string& category = object.name;
             add_shared("category", category, {{"name", category}, {"description", ""}});
             of_track.instance = records_["instance"].size();
             records_["instance"].push_back({{"token", token("track", track)},

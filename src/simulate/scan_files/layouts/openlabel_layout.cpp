@@ -48,7 +48,7 @@ public:
             label_of_instance_.push_back(
                 box == options_.actors.end()
                     ? 0u
-                    : make_label(label_of(*box), box->is_moving(), int(box - options_.actors.begin())));
+                    : make_label(class_of(*box), box->is_moving(), int(box - options_.actors.begin())));
         }
     }
     std::uint32_t find_label(std::size_t point) const {
@@ -60,7 +60,7 @@ public:
         const glm::dvec3 position = world_from_cloud_ * glm::dvec3(cloud_.position_m[point]);
         for (const LabelledObject& object : frame_.objects)  // standing objects are background
             if (object.is_static && is_on_object(inverse(object.world_from_box) * position, object.size_m))
-                return make_label(object.category, false, object.number);
+                return make_label(object.object_class, false, object.number);
         const int surface = classes_ ? (*classes_)[point] : 0;
         return std::uint32_t(to_semantic_kitti(SurfaceClass(std::max(0, surface))));
     }
@@ -73,8 +73,8 @@ private:
     const Pose world_from_cloud_;
     std::vector<std::uint32_t> label_of_instance_;
 
-    static std::uint32_t make_label(const std::string& category, bool moves, int number) {
-        const ObjectNames names = find_object_names(category);
+    static std::uint32_t make_label(ObjectClass object_class, bool moves, int number) {
+        const ObjectNames& names = find_object_names(object_class);
         return std::uint32_t(number + 1) << 16 |
                std::uint32_t(moves ? names.moving_class : names.still_class);
     }
@@ -164,9 +164,7 @@ private:
         const std::string key = std::to_string(object.number);
         Json& known = objects_[key];
         if (known.is_null())
-            known = {{"name", object.track},
-                     {"type", find_object_names(object.category).kitti},
-                     {"frame_intervals", Json::array()}};
+            known = {{"name", object.track}, {"type", object.name}, {"frame_intervals", Json::array()}};
         Json& intervals = known["frame_intervals"];
         if (intervals.empty() || std::size_t(intervals.back()["frame_end"]) + 1 != frame.index)
             intervals.push_back(interval_json(frame.index, frame.index));
@@ -185,7 +183,7 @@ private:
                    {{"cuboid", {cuboid}},
                     {"num", numbers},
                     {"boolean", {{{"name", "is_static"}, {"val", !object.moves}}}},
-                    {"text", {{{"name", "category"}, {"val", object.category}}}}}}}}};
+                    {"text", {{{"name", "label"}, {"val", object.label}}}}}}}}};
     }
 };
 
