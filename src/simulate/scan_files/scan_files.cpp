@@ -240,6 +240,7 @@ ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor)
     name_topics(format, lidar.name);
     format.run = file_name_of(run.folder);
     format.sensor = sensor.name;
+    format.camera = sensor.camera;
     format.limits = sensor.limits;
     if (sensor.is_log_lidar && !lidar.pattern) format.packets.sensor = lidar.sensor;
     format.time_shift_ns = time_shift_of(run, sensor);

@@ -26,13 +26,7 @@ constexpr ObjectNames kObjectNames[] = {{"Car", "vehicle.car", 10, 252},
 /// Names of KITTI that no class has.
 constexpr const char* kMoreKittiNames[] = {"Tram", "Person_sitting"};
 
-}  // namespace
-
-const ObjectNames& find_object_names(ObjectClass object_class) {
-    return kObjectNames[static_cast<std::size_t>(object_class)];
-}
-
-std::string name_object(const std::string& layout, const LabelledObject& object, const ClassNames& chosen) {
+std::string choose_name(const std::string& layout, const LabelledObject& object, const ClassNames& chosen) {
     for (const std::string& key : {object.label, name_of(object.object_class)})
         if (const auto name = chosen.find(key); name != chosen.end()) return name->second;
     if (layout == "custom") return name_of(object.object_class);
@@ -40,6 +34,20 @@ std::string name_object(const std::string& layout, const LabelledObject& object,
     if (layout == "nuscenes")
         return object.label.find('.') == std::string::npos ? names.nuscenes : object.label;
     return std::ranges::count(kMoreKittiNames, object.label) > 0 ? object.label : names.kitti;
+}
+
+}  // namespace
+
+const ObjectNames& find_object_names(ObjectClass object_class) {
+    return kObjectNames[static_cast<std::size_t>(object_class)];
+}
+
+void name_objects(LabelledFrame& frame, const std::string& layout, const ClassNames& chosen) {
+    for (LabelledObject& object : frame.objects) object.name = choose_name(layout, object, chosen);
+    const auto is_unnamed = [](const LabelledObject& object) { return object.name.empty(); };
+    for (const LabelledObject& object : frame.objects)
+        if (is_unnamed(object) && object.image_box) frame.unlabelled.push_back(*object.image_box);
+    std::erase_if(frame.objects, is_unnamed);
 }
 
 }  // namespace relidar::layouts

@@ -82,8 +82,8 @@ std::string format_day(std::int64_t stamp_ns) {
 
 class NuscenesWriter : public LayoutWriter {
 public:
-    NuscenesWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors)
-        : LayoutWriter(std::move(place), sensors),
+    NuscenesWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors, const DatasetView& view)
+        : LayoutWriter(std::move(place), sensors, view),
           channels_(name_channels(sensors)),
           scene_prefix_(make_token("scene " + place_.key, kPrefixDigits)) {
         for (std::size_t s = 0; s < sensors_.size(); ++s) {
@@ -285,8 +285,9 @@ private:
 }  // namespace
 
 std::unique_ptr<LayoutWriter> make_nuscenes_writer(SequencePlace place,
-                                                   const std::vector<DatasetSensor>& sensors) {
-    return std::make_unique<NuscenesWriter>(std::move(place), sensors);
+                                                   const std::vector<DatasetSensor>& sensors,
+                                                   const DatasetView& view) {
+    return std::make_unique<NuscenesWriter>(std::move(place), sensors, view);
 }
 
 }  // namespace relidar::layouts
