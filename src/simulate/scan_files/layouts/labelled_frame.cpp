@@ -102,6 +102,7 @@ LabelledObject describe_object(const scan_files::ActorInScan& actor, int number,
     const BoxTrack& box = *actor.box;
     return {.track = box.id,
             .category = label_of(box),
+            .object_class = class_of(box),
             .number = number,
             .is_static = actor.is_static,
             .moves = box.is_moving(),
