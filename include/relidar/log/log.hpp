@@ -3,6 +3,7 @@
 // split into training and test frames.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -11,6 +12,7 @@
 
 #include <relidar/base/math.hpp>
 #include <relidar/log/body_table.hpp>
+#include <relidar/log/camera.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/conventions.hpp>
 #include <relidar/log/georeference.hpp>
@@ -239,14 +241,30 @@ struct Note {
 };
 using Notes = std::vector<Note>;
 
+/// Azimuths from a right limit to a left one, both between -pi and pi.
+struct AzimuthInterval {
+    double right_rad = -kPi, left_rad = kPi;
+
+    /// @param point_m  frame of the azimuths: x forward, y left
+    bool contains(const glm::dvec3& point_m) const {
+        const double azimuth_rad = std::atan2(point_m.y, point_m.x);
+        return azimuth_rad >= right_rad && azimuth_rad <= left_rad;
+    }
+    bool operator==(const AzimuthInterval&) const = default;
+};
+
 /// A LiDAR log. Its world origin is the vehicle in the middle frame.
 struct Log {
     std::string name;
     std::string source;                                 ///< path of the log
     std::vector<Lidar> lidars = std::vector<Lidar>(1);  ///< LiDARs, at least one
+    /// Cameras whose calibration the log has. Their rig is the first LiDAR.
+    std::vector<Camera> cameras = {};
     std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
     PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;
+    /// Where all objects have boxes, in the frame of the first LiDAR. Empty: all round.
+    std::optional<AzimuthInterval> labelled_azimuth = {};
     /// Add this vector to coordinates in relidar's world frame to get coordinates in the
     /// dataset's world frame.
     glm::dvec3 world_offset_m{0.0};

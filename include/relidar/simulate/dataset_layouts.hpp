@@ -5,10 +5,12 @@
 
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
+#include <relidar/log/camera.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
 namespace relidar {
@@ -24,6 +26,30 @@ struct DatasetSensor {
     /// Sequences that differ here are different sequences.
     std::string description = {};
 };
+
+/// Which points and objects of a frame are written.
+enum class DatasetFov {
+    all,
+    camera,  ///< in the picture
+    labels   ///< where the log has labels for all objects
+};
+/// Where the log has labels for all objects. Azimuths are in the frame of its LiDAR at the
+/// time of each frame.
+struct LabelledSector {
+    AzimuthInterval azimuth;
+    PoseTrack dataset_from_lidar;
+};
+/// Camera and extent of a sequence.
+struct DatasetView {
+    /// Camera of the pictures and of the image boxes, mounted on the rig of the data set.
+    /// Empty: the camera of the layout (find_layout_camera()).
+    std::optional<Camera> camera = {};
+    bool has_pictures = false;  ///< false: pictures are black, and there is no depth
+    DatasetFov fov = DatasetFov::all;
+    std::optional<LabelledSector> labelled = {};  ///< empty: all round
+};
+/// Returns the default camera of a layout, or nothing for a layout without pictures.
+std::optional<Camera> find_layout_camera(const std::string& layout);
 
 /// Checks a folder before long work starts.
 /// @throws UsageError if a layout is unknown, or if the folder has other files or a data
@@ -46,14 +72,17 @@ public:
     /// @param times_s  times of all frames
     /// @param replace  whether a sequence with the same settings is replaced
     /// @throws UsageError if the data set has a sequence with the same settings, if the
-    /// layout cannot store the sequence, and in the cases of check_dataset_folder()
+    /// layout cannot store the sequence, if the view needs a camera or labels that are
+    /// missing, and in the cases of check_dataset_folder()
     /// @throws DataError if the folder cannot be written
     DatasetSequenceWriter(std::filesystem::path folder, const std::string& layout,
-                          std::vector<DatasetSensor> sensors, std::vector<double> times_s, bool replace);
+                          std::vector<DatasetSensor> sensors, std::vector<double> times_s, bool replace,
+                          DatasetView view = {});
     /// Writes the next frame.
     /// @param scans  a scan for each sensor, all at the same time
+    /// @param picture  scan of camera_sensor() at this time. Null: the picture is black
     /// @throws DataError if a file cannot be written
-    void write_scans(std::span<const RenderedScan> scans);
+    void write_scans(std::span<const RenderedScan> scans, const RenderedScan* picture = nullptr);
     /// Adds the sequence to the tables, splits and the README of the data set.
     void finish();
 

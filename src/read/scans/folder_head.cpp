@@ -17,6 +17,7 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
+#include "log/frames/labelled_azimuth.hpp"
 #include "log/georeference/georeference_json.hpp"
 #include "log/sensor/pattern_kinds.hpp"
 #include "read/files/other_formats.hpp"
@@ -365,7 +366,8 @@ FolderHead read_header(const fs::path& folder, double default_max_range_m) {
     const JsonField root(json, file, "");
     root.check_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars", "frames",
                         "rate_hz", "motion_compensated", "columns", "intensity_max", "time_unit",
-                        "point_times", "world_offset_m", "georeference", "start_unix_ns"});
+                        "point_times", "world_offset_m", "georeference", "start_unix_ns",
+                        "labelled_azimuth_rad"});
     if (root.at("format").text() != kLogFormat)
         root.at("format").reject("found another format", fmt::format("expected \"{}\"", kLogFormat));
     root.at("version").integer_in(1, kLogVersion);
@@ -376,6 +378,8 @@ FolderHead read_header(const fs::path& folder, double default_max_range_m) {
     std::ranges::copy(read_text_list(root, "notes"), std::back_inserter(header.notes));
     if (root.has_member("start_unix_ns"))
         header.start_unix_ns = root.at("start_unix_ns").integer_in(0, kLatestLogStart_ns);
+    if (root.has_member("labelled_azimuth_rad"))
+        header.labelled_azimuth = read_azimuths(root.at("labelled_azimuth_rad"));
     header.lidars = read_lidars(root, file, folder, default_max_range_m);
     read_frames(header, root, folder);
     header.motion_compensated = read_flag_or(root, "motion_compensated", false);

@@ -49,6 +49,7 @@ struct FolderHead {
     PointFileUnits units;
     std::optional<glm::dvec3> world_offset_m;
     std::optional<Georeference> georeference;
+    std::optional<AzimuthInterval> labelled_azimuth;
 };
 
 /// Reads sequence.json. If it does not list the scans, lists the files in the scan

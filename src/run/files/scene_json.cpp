@@ -15,6 +15,7 @@
 #include <relidar/log/log_time.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 #include "base/json_field.hpp"
+#include "log/frames/labelled_azimuth.hpp"
 #include "log/georeference/georeference_json.hpp"
 
 namespace relidar::files {
@@ -270,6 +271,7 @@ std::string format_scene(const Run& run) {
         json["intensity_response"] = {
             {"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
     if (s.georeference) json["georeference"] = georeference_json(*s.georeference);
+    if (s.labelled_azimuth) json["labelled_azimuth_rad"] = azimuths_json(*s.labelled_azimuth);
     if (run.held_out_placed) json["held_out_placed"] = true;
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
@@ -293,6 +295,8 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
     log.notes = root.at("notes").list([](const JsonField& note) { return Note(note.text()); });
     log.world_offset_m = root.at("world_offset_m").vector_in(-kMaxWorldOffset_m, kMaxWorldOffset_m);
     if (root.has_member("georeference")) log.georeference = read_georeference(root.at("georeference"));
+    if (root.has_member("labelled_azimuth_rad"))
+        log.labelled_azimuth = read_azimuths(root.at("labelled_azimuth_rad"));
     log.rolling_shutter = root.at("rolling_shutter").boolean();
     log.lidars = root.at("lidars").list(read_lidar);
     if (log.lidars.empty()) root.at("lidars").reject("found no LiDAR", "expected at least one LiDAR");

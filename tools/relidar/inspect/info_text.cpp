@@ -164,7 +164,10 @@ Json summary_json(const LogSummary& summary) {
                  {"georeference", summary_json(log.georeference)},
                  {"returns_share", nullptr},
                  {"boxes", boxes},
+                 {"labelled_azimuth_rad", nullptr},
                  {"masked", summary.masked}};
+    if (const auto& azimuths = log.labelled_azimuth)
+        json["labelled_azimuth_rad"] = {azimuths->right_rad, azimuths->left_rad};
     if (summary.returns_share) {
         json["returns_share"] = *summary.returns_share;
         json["scans_read"] = summary.n_scans_read;
@@ -284,6 +287,10 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
     const auto n_moving = std::ranges::count_if(log.boxes, &BoxTrack::is_moving);
     text += format_line("boxes", fmt::format("{}: {} moving, {} parked", summary.boxes.size(), n_moving,
                                              std::ssize(summary.boxes) - n_moving));
+    if (const auto& azimuths = log.labelled_azimuth)
+        text += format_line("labelled",
+                            fmt::format("azimuths {:.1f} to {:.1f} degrees (left is positive)",
+                                        azimuths->right_rad * 180.0 / kPi, azimuths->left_rad * 180.0 / kPi));
     if (!summary.masked.empty())
         text += format_line("masked", summary.masked + ": these moving objects are not trained");
     return text + convention_table(log.conventions_used) + box_table(summary.boxes, show_instance_columns);

@@ -17,6 +17,7 @@
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
+#include <relidar/simulate/camera.hpp>
 #include <relidar/simulate/dataset_layouts.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
@@ -27,6 +28,7 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "ranks.hpp"
+#include "render/dataset_view.hpp"
 #include "render/recording_names.hpp"
 #include "render/render_notes.hpp"
 #include "render/selection.hpp"
@@ -45,6 +47,7 @@ struct RenderOptions {
     std::string vehicle_name;  ///< argument of --vehicle
     std::string formats = "npz";
     std::string layout;  ///< empty: writes the files of `formats`
+    DatasetViewOptions view;
     std::optional<std::string> channels;
     RecordingNames names;
     std::vector<std::string> sets;
@@ -97,6 +100,7 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
 
 /// Rejects options that a layout decides itself.
 void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
+    check_view_options(options.view, options.layout);
     if (options.layout.empty()) return;
     check_dataset_folder(options.out, options.layout);
     if (ranks.size() > 1)
@@ -130,32 +134,6 @@ void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGr
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
     check_time_options(options.trajectory, options.frames.has_value());
-}
-
-/// `number` is part of the file name, `time_s` the reference time of the sweep.
-struct NumberedScanTime {
-    int number;
-    double time_s;
-};
-
-std::vector<double> times_of(const std::vector<NumberedScanTime>& sweeps) {
-    std::vector<double> times_s;
-    for (const NumberedScanTime& sweep : sweeps) times_s.push_back(sweep.time_s);
-    return times_s;
-}
-
-/// Returns the times of the selected frames of a LiDAR, with their frame numbers.
-std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const RenderOptions& options, int lidar) {
-    std::vector<NumberedScanTime> sweeps;
-    for (const int position : select_frames(run, options.frames, options.quiet)) {
-        const Frame& frame = run.log.frames[static_cast<std::size_t>(position)];
-        if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
-    }
-    if (sweeps.empty())
-        fail<UsageError>(
-            "--lidar {}: this LiDAR recorded none of the selected frames of the run {}; change --frames",
-            options.lidar, run.folder.string());
-    return sweeps;
 }
 
 /// Returns the times of the scans on a trajectory, numbered from 0.
@@ -213,7 +191,7 @@ struct RenderOutputs {
 /// Creates the output of --layout: a new sequence in a data set.
 RenderOutputs create_dataset(const RenderOptions& options, const Run& run,
                              const std::vector<RenderedSensor>& rendered_sensors, const Pose& sensor_offset,
-                             const std::vector<NumberedScanTime>& sweeps) {
+                             const DatasetView& view, const std::vector<NumberedScanTime>& sweeps) {
     const auto formats = format_per_sensor(options, run, rendered_sensors, sensor_offset);
     const std::string description =
         options.lidar + describe_inputs({options.sensor, options.trajectory.file});
@@ -222,7 +200,7 @@ RenderOutputs create_dataset(const RenderOptions& options, const Run& run,
         sensors.push_back({formats[i], rendered_sensors[i].mounting, description});
     RenderOutputs output;
     output.dataset.emplace(options.out, options.layout, std::move(sensors), times_of(sweeps),
-                           options.overwrite);
+                           options.overwrite, view);
     return output;
 }
 
@@ -279,28 +257,23 @@ void finish_outputs(RenderOutputs& output, const MpiProcessGroup& ranks) {
 class SweepRenderer {
 public:
     SweepRenderer(ScanRenderer& renderer, const Run& run, const RenderOptions& options,
-                  const std::vector<RenderedSensor>& targets, const Pose& offset, const PoseTrack& track)
+                  const std::vector<RenderedSensor>& targets, const Pose& offset, const PoseTrack& track,
+                  const std::optional<RenderedSensor>& camera)
         : renderer_(renderer),
           run_(run),
           options_(options),
           targets_(targets),
           offset_(offset),
-          track_(track) {
+          track_(track),
+          camera_(camera) {
         for (const RenderedSensor& target : targets) mountings_.push_back(target.mounting);
     }
 
     /// Renders and writes the scans of all sensors at one time.
     void render_sweep(const NumberedScanTime& sweep, RenderOutputs& output) {
-        const bool has_user_trajectory = !options_.trajectory.file.empty();
         std::vector<RenderedScan> scans;
         for (const RenderedSensor& target : targets_) {
-            check_interrupt();
-            scans.push_back(has_user_trajectory
-                                ? renderer_.render(target.sensor,
-                                                   {sweep.time_s, mount_track(track_, target.mounting)},
-                                                   options_.sample)
-                                : renderer_.render(target.sensor, sweep.time_s, offset_ * target.mounting,
-                                                   options_.sample));
+            scans.push_back(render(target.sensor, target.mounting, sweep.time_s, options_.sample));
             RenderedScan& scan = scans.back();
             trace_ms_ += scan.trace_ms;
             n_rays_ += double(scan.image.range_m.size());
@@ -312,7 +285,10 @@ public:
                 n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
             }
         }
-        if (output.dataset) return output.dataset->write_scans(scans);
+        if (output.dataset) {
+            const std::optional<RenderedScan> picture = render_picture(sweep.time_s);
+            return output.dataset->write_scans(scans, picture ? &*picture : nullptr);
+        }
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
         for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write_scan(sweep.number, scans[s]);
         if (output.recordings) output.recordings->write_scans(scans);
@@ -342,9 +318,27 @@ private:
     const std::vector<RenderedSensor>& targets_;
     const Pose offset_;
     const PoseTrack track_;
+    const std::optional<RenderedSensor> camera_;  ///< of a data set with pictures
     std::vector<Pose> mountings_;
     double trace_ms_ = 0.0, n_rays_ = 0.0, n_returns_ = 0.0, n_unseen_ = 0.0;
     bool has_unseen_share_ = false;
+
+    RenderedScan render(const SimulatedSensor& sensor, const Pose& mounting, double time_s, SampleSeed seed) {
+        check_interrupt();
+        const bool has_user_trajectory = !options_.trajectory.file.empty();
+        return has_user_trajectory ? renderer_.render(sensor, {time_s, mount_track(track_, mounting)}, seed)
+                                   : renderer_.render(sensor, time_s, offset_ * mounting, seed);
+    }
+    std::optional<RenderedScan> render_picture(double time_s) {
+        if (!camera_) return {};
+        // A picture has no weather, and boxes need only the rays of LiDARs.
+        renderer_.set_weather({});
+        renderer_.count_actor_rays(false);
+        RenderedScan picture = render(camera_->sensor, camera_->mounting, time_s, {});
+        renderer_.set_weather(parse_weather(options_.weather));
+        renderer_.count_actor_rays();
+        return picture;
+    }
 };
 
 /// Returns the time shift with which no sensor has a stamp before 1970.
@@ -404,7 +398,7 @@ void run_render(const RenderOptions& command_options) {
                       : PoseTrack{};
     const int lidar = find_lidar(run.log, options.lidar);
     const auto sweeps = has_user_path ? sweeps_on_path(run, options, user_path, lidar)
-                                      : sweeps_of_frames(run, options, lidar);
+                                      : sweeps_of_frames(run, options.frames, lidar, options.quiet);
     std::vector<RenderedSensor> sensors = list_sensors(options.sensor, rig, run, lidar);
     if (uses_log_vehicle) add_log_body(sensors, run, lidar, offset);
     options.map = open_map(run.log, options.crs);
@@ -420,12 +414,20 @@ void run_render(const RenderOptions& command_options) {
     Device device(to_device_options(options.device));
     ScanRenderer renderer(device, run);
     configure_renderer(renderer, options, shown);
-    RenderOutputs output = options.layout.empty() ? create_outputs(options, run, sensors, offset, ranks)
-                                                  : create_dataset(options, run, sensors, offset, sweeps);
+    const DatasetView view =
+        options.layout.empty() ? DatasetView{} : choose_view(options.view, options.layout, run.log, lidar);
+    RenderOutputs output = options.layout.empty()
+                               ? create_outputs(options, run, sensors, offset, ranks)
+                               : create_dataset(options, run, sensors, offset, view, sweeps);
+    note_labelled_sector(view);
+    std::optional<RenderedSensor> camera;
+    if (view.has_pictures)
+        camera = {.sensor = camera_sensor(*view.camera, run.config, run.log, lidar),
+                  .mounting = view.camera->rig_from_camera};
     print_render_notes(options, run, renderer, sensors, lidar);
     install_handlers();
     TerminalProgress progress(options.quiet);
-    SweepRenderer sweep_renderer(renderer, run, options, sensors, offset, subdivide_turns(user_path));
+    SweepRenderer sweep_renderer(renderer, run, options, sensors, offset, subdivide_turns(user_path), camera);
     const ProcessGroup::PartRange share = ranks.group().part_range(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render_sweep(sweeps[i], output);
@@ -452,6 +454,7 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
                fmt::format("add the scans and the boxes of all visible objects as a sequence to the data set "
                            "in DIR: {}; instead of --format",
                            fmt::join(list_layouts(), ", ")));
+    add_view_options(command, options.view);
     add_option(command, "--frame WHAT", options.point_frame,
                "frame of reference of points: sensor, each point at its own firing time; or world, the "
                "dataset's (default: sensor)");

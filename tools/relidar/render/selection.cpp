@@ -65,6 +65,26 @@ std::vector<int> select_frames(const Run& run, const std::optional<std::string>&
     return positions;
 }
 
+std::vector<double> times_of(const std::vector<NumberedScanTime>& sweeps) {
+    std::vector<double> times_s;
+    for (const NumberedScanTime& sweep : sweeps) times_s.push_back(sweep.time_s);
+    return times_s;
+}
+
+std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const std::optional<std::string>& frames_text,
+                                               int lidar, bool quiet) {
+    std::vector<NumberedScanTime> sweeps;
+    for (const int position : select_frames(run, frames_text, quiet)) {
+        const Frame& frame = run.log.frames[static_cast<std::size_t>(position)];
+        if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
+    }
+    if (sweeps.empty())
+        fail<UsageError>(
+            "--lidar {}: this LiDAR recorded none of the selected frames of the run {}; change --frames",
+            run.log.lidars[static_cast<std::size_t>(lidar)].name, run.folder.string());
+    return sweeps;
+}
+
 std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRig& rig, const Run& run,
                                          int lidar) {
     if (name.empty()) return {{.sensor = make_sensor(run.config, run.log, lidar)}};

@@ -19,6 +19,18 @@ namespace relidar::cli {
 /// @throws UsageError if no frame is selected
 std::vector<int> select_frames(const Run& run, const std::optional<std::string>& frames_text, bool quiet);
 
+/// `number` is part of the file name, `time_s` the reference time of the sweep.
+struct NumberedScanTime {
+    int number;
+    double time_s;
+};
+std::vector<double> times_of(const std::vector<NumberedScanTime>& sweeps);
+/// Returns the times of the selected frames of a LiDAR, with their frame numbers.
+/// @param frames_text, quiet  as in select_frames()
+/// @throws UsageError if the LiDAR recorded none of them
+std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const std::optional<std::string>& frames_text,
+                                               int lidar, bool quiet);
+
 /// A sensor to simulate, and where its scans are written.
 struct RenderedSensor {
     /// Subfolder for the files of this sensor; empty: the output folder itself.

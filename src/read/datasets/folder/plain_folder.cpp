@@ -138,6 +138,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     log.conventions = head.conventions;
     log.start_unix_ns = head.start_unix_ns;
     log.notes = head.notes;
+    log.labelled_azimuth = head.labelled_azimuth;
     log.lidars.clear();
     for (const read::HeaderLidar& lidar : head.lidars) log.lidars.push_back(lidar.lidar);
     const std::vector<LogFrame> frames = select_frames(head, options, log.notes);

@@ -15,6 +15,7 @@
 #include "base/files.hpp"
 #include "base/number_text.hpp"
 #include "base/progress_blocks.hpp"
+#include "log/frames/labelled_azimuth.hpp"
 #include "log/georeference/georeference_json.hpp"
 #include "read/files/scan_npz.hpp"
 #include "read/scans/folder_head.hpp"
@@ -68,6 +69,7 @@ std::string sequence_json(const Log& log) {
                  {"lidars", Json::array()},
                  {"frames", Json::array()}};
     if (log.georeference) json["georeference"] = georeference_json(*log.georeference);
+    if (log.labelled_azimuth) json["labelled_azimuth_rad"] = azimuths_json(*log.labelled_azimuth);
     for (std::size_t l = 0; l < log.lidars.size(); ++l) json["lidars"].push_back(make_json(log.lidars[l], l));
     for (const Frame& frame : log.frames)
         json["frames"].push_back({{"number", frame.index},

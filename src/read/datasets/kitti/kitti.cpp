@@ -6,12 +6,15 @@
 //   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr
 #include "read/readers.hpp"
 
+#include <algorithm>
+
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
+#include "log/frames/labelled_azimuth.hpp"
 #include "read/datasets/kitti/kitti_sweeps.hpp"
 #include "read/datasets/kitti/log_files.hpp"
 #include "read/scans/pose_files.hpp"
@@ -110,6 +113,9 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     centre_log(log);
     if (options.poses_file.empty()) log.georeference = read_oxts_place(drive);
     log.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, log.world_from_vehicle);
+    const auto front = std::ranges::find(log.cameras, "image_2", &Camera::name);
+    if (!log.boxes.empty())
+        log.labelled_azimuth = view_azimuths(front == log.cameras.end() ? kitti_camera() : *front);
     read_hdl64_sweeps(log, points / "data", kRawDigits, options);
     return log;
 }

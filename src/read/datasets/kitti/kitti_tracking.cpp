@@ -6,6 +6,7 @@
 #include "read/readers.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <initializer_list>
 #include <map>
@@ -20,6 +21,7 @@
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
+#include "log/frames/labelled_azimuth.hpp"
 #include "read/datasets/kitti/kitti_sweeps.hpp"
 #include "read/datasets/kitti/log_files.hpp"
 #include "read/scans/pose_files.hpp"
@@ -59,6 +61,23 @@ Pose read_velo_to_camera(const fs::path& file) {
     // dmat3 expects columns, but the file contains rows.
     return make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {}, where) *
            read::parse_pose(matrix, place);
+}
+
+/// Returns the azimuths that camera 2 sees, in whose view KITTI labels objects. Nothing if
+/// the calibration has no such camera, so that labels are not known to end there.
+std::optional<AzimuthInterval> read_labelled_azimuth(const fs::path& file) {
+    constexpr double kMinFocal_px = 10.0;
+    const std::string text = read_text_file(file);
+    if (!text.starts_with("P2:") && text.find("\nP2:") == std::string::npos) return {};
+    const auto [line, where] = find_line(file, {"P2"});
+    std::array<double, 12> projection;
+    std::ranges::copy(read::parse_finite(line, projection.size(), where), projection.begin());
+    if (std::min(projection[0], projection[5]) < kMinFocal_px) return {};
+    Camera camera = make_camera("image_2", projection, read_velo_to_camera(file));
+    camera.columns = kitti_camera().columns;  // the calibration does not have the size
+    camera.rows = kitti_camera().rows;
+    const AzimuthInterval azimuths = view_azimuths(camera);
+    return azimuths.right_rad < azimuths.left_rad ? std::optional(azimuths) : std::nullopt;
 }
 
 /// Parses a line of label_02: frame, track, type, truncation, occlusion, alpha, four
@@ -169,8 +188,10 @@ Log load_kitti_tracking(const fs::path& folder, const DatasetOptions& options) {
     log.notes.insert(log.notes.begin(), notes.begin(), notes.end());
     note_missing_scans(log, points, frames, options.allow_missing_scans);
     if (has_oxts) log.georeference = track.place;
-    if (does_path_exist(labels)) log.boxes = read_track_labels(labels, calibration, log);
-    else log.notes.push_back(fmt::format("{} is missing, so this sequence has no labels", labels.string()));
+    if (does_path_exist(labels)) {
+        log.boxes = read_track_labels(labels, calibration, log);
+        log.labelled_azimuth = read_labelled_azimuth(calibration);
+    } else log.notes.push_back(fmt::format("{} is missing, so this sequence has no labels", labels.string()));
     read_kitti_sweeps(log, points, options, /*hdl64_is_moved=*/false);
     return log;
 }

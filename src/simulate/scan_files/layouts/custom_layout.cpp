@@ -14,8 +14,8 @@ namespace fs = std::filesystem;
 
 class CustomWriter : public LayoutWriter {
 public:
-    CustomWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors)
-        : LayoutWriter(std::move(place), sensors) {
+    CustomWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors, const DatasetView& view)
+        : LayoutWriter(std::move(place), sensors, view) {
         constexpr int kMaxFrames = 1'000'000;  // names have 6 digits
         if (place_.first_frame + place_.n_frames > kMaxFrames)
             fail<UsageError>("--layout custom: found frame {}, expected at most {}",
@@ -76,8 +76,9 @@ private:
 }  // namespace
 
 std::unique_ptr<LayoutWriter> make_custom_writer(SequencePlace place,
-                                                 const std::vector<DatasetSensor>& sensors) {
-    return std::make_unique<CustomWriter>(std::move(place), sensors);
+                                                 const std::vector<DatasetSensor>& sensors,
+                                                 const DatasetView& view) {
+    return std::make_unique<CustomWriter>(std::move(place), sensors, view);
 }
 
 }  // namespace relidar::layouts

@@ -23,12 +23,14 @@ constexpr const char *kIndexName = "dataset.json", *kIndexFormat = "relidar data
 
 struct LayoutKind {
     const char* name;
-    std::unique_ptr<LayoutWriter> (*make)(SequencePlace, const std::vector<DatasetSensor>&);
+    std::unique_ptr<LayoutWriter> (*make)(SequencePlace, const std::vector<DatasetSensor>&,
+                                          const DatasetView&);
+    Camera (*make_camera)();  ///< null for a layout without pictures
 };
-constexpr LayoutKind kLayouts[] = {{"kitti", make_kitti_writer},
-                                   {"nuscenes", make_nuscenes_writer},
-                                   {"openlabel", make_openlabel_writer},
-                                   {"custom", make_custom_writer}};
+constexpr LayoutKind kLayouts[] = {{"kitti", make_kitti_writer, kitti_camera},
+                                   {"nuscenes", make_nuscenes_writer, nuscenes_camera},
+                                   {"openlabel", make_openlabel_writer, nullptr},
+                                   {"custom", make_custom_writer, nullptr}};
 
 /// Reads the list of sequences of a data set.
 /// @return no value if the folder has no such list
@@ -104,10 +106,23 @@ std::string describe_pose(const Pose& pose) {
     return fmt::format("{},{},{} {},{},{},{}", t.x, t.y, t.z, q.w, q.x, q.y, q.z);
 }
 
+const char* name_of(DatasetFov fov) {
+    constexpr const char* kNames[] = {"all", "camera", "labels"};
+    return kNames[static_cast<int>(fov)];
+}
+
+std::string describe_camera(const Camera& camera, bool has_pictures) {
+    return fmt::format("{} {} x {}, focal length {} {}, centre {} {}, at {}{}", camera.name, camera.columns,
+                       camera.rows, camera.focal_x_px, camera.focal_y_px, camera.centre_x_px,
+                       camera.centre_y_px, describe_pose(camera.rig_from_camera),
+                       has_pictures ? "" : "; pictures are black");
+}
+
 /// Returns everything that decides the data of a sequence, for users and as its identity:
 /// equal settings give equal data. Rays, tracks and settings are long, and are only
 /// compared, so a hash stands for each of them.
-Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vector<double>& times_s) {
+Json describe_sequence(const std::vector<DatasetSensor>& sensors, const DatasetView& view,
+                       const std::vector<double>& times_s) {
     // All sensors have the same run, actors and settings.
     const ScanOutputOptions& options = sensors.front().options;
     std::string sensor_poses, rays, tracks, settings;
@@ -123,20 +138,33 @@ Json describe_sequence(const std::vector<DatasetSensor>& sensors, const std::vec
             for (const Pose& pose : box.world_from_box.pose) tracks += describe_pose(pose);
         }
     for (const ConfigKey& key : list_config_keys(options.config)) settings += key.key + key.value + "\n";
-    return {{"run", options.run},
-            {"source", options.config.dataset.path},
-            {"licence", "unknown: see the source"},
-            {"relidar", RELIDAR_VERSION},
-            {"sensors (x,y,z w,x,y,z)", sensor_poses},
-            {"offset", describe_pose(options.offset)},
-            {"trajectory", options.trajectory},
-            {"rays", make_token(rays)},
-            {"only", options.only},
-            {"seed", options.sample ? Json(*options.sample) : Json()},
-            {"weather", format_weather(options.weather)},
-            {"tracks", make_token(tracks)},
-            {"settings", make_token(settings)},
-            {"times_s", times_s}};
+    Json json = {{"run", options.run},
+                 {"source", options.config.dataset.path},
+                 {"licence", "unknown: see the source"},
+                 {"relidar", RELIDAR_VERSION},
+                 {"sensors (x,y,z w,x,y,z)", sensor_poses},
+                 {"offset", describe_pose(options.offset)},
+                 {"trajectory", options.trajectory},
+                 {"rays", make_token(rays)},
+                 {"only", options.only},
+                 {"seed", options.sample ? Json(*options.sample) : Json()},
+                 {"weather", format_weather(options.weather)},
+                 {"tracks", make_token(tracks)},
+                 {"settings", make_token(settings)},
+                 {"times_s", times_s}};
+    if (view.camera) json["camera"] = describe_camera(*view.camera, view.has_pictures);
+    json["fov"] = name_of(view.fov);
+    return json;
+}
+
+/// Fills in the camera of the layout.
+/// @throws UsageError if the view needs a camera or labels that are missing
+DatasetView complete_view(DatasetView view, const std::string& layout) {
+    if (!view.camera) view.camera = find_layout_camera(layout);
+    if (view.fov == DatasetFov::camera && !view.camera)
+        fail<UsageError>("--fov camera: found no camera, expected one, because the layout {} has none",
+                         layout);
+    return view;
 }
 
 /// Explains the names of scenes to users of the layout nuscenes.
@@ -229,12 +257,6 @@ void write_rig_points(const fs::path& path, const LabelledFrame& frame,
     write_bytes(path, pack_rig_points(frame, sensors));
 }
 
-std::string camera_lines() {
-    std::string lines;
-    for (int camera = 0; camera < 4; ++camera) lines += fmt::format("P{}: {}\n", camera, kVirtualCamera);
-    return lines;
-}
-
 std::string make_token(const std::string& text, std::size_t n_digits) {
     std::string token;
     for (const std::uint64_t hash : hash_text_twice(text)) token += fmt::format("{:016x}", hash);
@@ -251,6 +273,7 @@ using namespace layouts;
 struct DatasetSequenceWriter::Impl {
     fs::path folder;
     std::vector<DatasetSensor> sensors;
+    DatasetView view;
     DatasetIndex index;  ///< with the new sequence
     std::unique_ptr<LayoutWriter> writer = {};
     std::size_t n_written = 0;
@@ -262,30 +285,40 @@ std::vector<std::string> list_layouts() {
     return names;
 }
 
+std::optional<Camera> find_layout_camera(const std::string& layout) {
+    const auto kind = std::ranges::find(kLayouts, layout, &LayoutKind::name);
+    if (kind == std::end(kLayouts) || !kind->make_camera) return {};
+    return kind->make_camera();
+}
+
 void check_dataset_folder(const fs::path& folder, const std::string& layout) { open_index(folder, layout); }
 
 DatasetSequenceWriter::DatasetSequenceWriter(fs::path folder, const std::string& layout,
                                              std::vector<DatasetSensor> sensors, std::vector<double> times_s,
-                                             bool replace)
-    : impl_(std::make_shared<Impl>(
-          Impl{.folder = folder, .sensors = std::move(sensors), .index = open_index(folder, layout)})) {
+                                             bool replace, DatasetView view)
+    : impl_(std::make_shared<Impl>(Impl{.folder = folder,
+                                        .sensors = std::move(sensors),
+                                        .view = complete_view(std::move(view), layout),
+                                        .index = open_index(folder, layout)})) {
     DatasetIndex& index = impl_->index;
     // Writes the index of a new folder before any frame. If this sequence is interrupted,
     // open_index() then still accepts the folder.
     if (index.sequences.empty()) write_index(folder, index);
-    const Json settings = describe_sequence(impl_->sensors, times_s);
+    const Json settings = describe_sequence(impl_->sensors, impl_->view, times_s);
     const SequencePlace place = place_sequence(
         index, {.key = make_token(settings.dump()), .n_frames = int(times_s.size()), .settings = settings},
         folder, replace);
     const auto kind = std::ranges::find(kLayouts, layout, &LayoutKind::name);
-    impl_->writer = kind->make(place, impl_->sensors);
+    impl_->writer = kind->make(place, impl_->sensors, impl_->view);
 }
 
-void DatasetSequenceWriter::write_scans(std::span<const RenderedScan> scans) {
+void DatasetSequenceWriter::write_scans(std::span<const RenderedScan> scans, const RenderedScan* picture) {
     if (scans.size() != impl_->sensors.size())
         fail<UsageError>("cannot write a data set: found {} scans, expected {}, one for each sensor",
                          scans.size(), impl_->sensors.size());
-    impl_->writer->write_frame(label_frame(scans, impl_->sensors, impl_->n_written++));
+    LabelledFrame frame = label_frame(scans, impl_->sensors, impl_->view, impl_->n_written++);
+    frame.picture = picture;
+    impl_->writer->write_frame(frame);
 }
 
 void DatasetSequenceWriter::finish() {

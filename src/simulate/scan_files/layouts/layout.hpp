@@ -32,6 +32,17 @@ std::string nuscenes_category(const std::string& category);
 
 using Json = nlohmann::ordered_json;
 
+/// Rectangle of an object in the picture of the camera.
+struct ImageBox {
+    glm::dvec2 min_px{0.0}, max_px{0.0};  ///< clipped to the centres of the outermost pixels
+    /// Share of the area of the full rectangle that is outside the picture.
+    double truncated = 0.0;
+};
+/// Returns the rectangle around the corners of a box, clipped to the picture. Parts of the
+/// box behind the camera do not count. Nothing if the rectangle is not in the picture.
+std::optional<ImageBox> project_box(const Camera& camera, const Pose& camera_from_box,
+                                    const glm::dvec3& size_m);
+
 struct LabelledObject {
     std::string track, category;               ///< category: label_of() the object
     ObjectClass object_class{};                ///< class_of() the object
@@ -42,7 +53,7 @@ struct LabelledObject {
     Pose world_from_box = {};                  ///< at the time at which the sensor faces the object
     std::size_t n_points = 0;                  ///< ActorBox::n_points, of all sensors
     std::optional<double> visible_share = {};  ///< of the sensor that sees most
-    double truncated = 0.0;                    ///< share of the box outside the field of view of every sensor
+    std::optional<ImageBox> image_box = {};    ///< empty if the object is not in the picture
 };
 
 struct LabelledFrame {
@@ -53,10 +64,43 @@ struct LabelledFrame {
     std::vector<LidarPoints> clouds = {};  ///< [sensors] deskewed, each in the frame of its sensor
     std::vector<int> n_rings = {};         ///< [sensors]
     std::vector<LabelledObject> objects = {};
+    /// Parts of the picture that may show objects without a label: boxes of the log that no
+    /// ray hits, and what is outside the labelled sector.
+    std::vector<ImageBox> unlabelled = {};
+    const RenderedScan* picture = nullptr;  ///< null: the picture is black
+};
+
+/// The camera and the labelled sector of a data set at the time of a frame.
+class FrameView {
+public:
+    /// @param view  must outlive this object
+    /// @param frame  with its time and the pose of the rig
+    FrameView(const DatasetView& view, const LabelledFrame& frame);
+    /// Returns a copy of a scan in which rays that end outside DatasetView::fov have no
+    /// return.
+    RenderedScan cut_scan(const RenderedScan& scan, const Config& config) const;
+    /// Returns the rectangle of an object in the picture.
+    std::optional<ImageBox> find_image_box(const LabelledObject& object) const;
+    /// Returns true if DatasetView::fov contains an object.
+    bool has_label(const LabelledObject& object) const;
+    /// Returns the parts of the picture outside the labelled sector.
+    std::vector<ImageBox> unlabelled_parts() const;
+
+private:
+    const DatasetView& view_;
+    const Pose world_from_camera_;  ///< identity without a camera
+    const Pose lidar_from_world_;   ///< identity without a labelled sector
+
+    bool contains(const glm::dvec3& world_m) const;
 };
 
 LabelledFrame label_frame(std::span<const RenderedScan> scans, const std::vector<DatasetSensor>& sensors,
-                          std::size_t index);
+                          const DatasetView& view, std::size_t index);
+
+/// Writes the gray picture of a frame as PNG. Creates its folder.
+void write_picture(const std::filesystem::path& path, const Camera& camera, const RenderedScan* picture);
+/// Writes the depth of a picture in the format of KITTI's depth benchmark.
+void write_depth(const std::filesystem::path& path, const RenderedScan& picture);
 
 /// The list of sequences in the file dataset.json.
 struct DatasetIndex {
@@ -92,9 +136,9 @@ struct SequencePlace {
 
 class LayoutWriter {
 public:
-    /// @param sensors  must outlive the writer
-    LayoutWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors)
-        : place_(std::move(place)), sensors_(sensors) {}
+    /// @param sensors, view  must outlive the writer
+    LayoutWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors, const DatasetView& view)
+        : place_(std::move(place)), sensors_(sensors), view_(view) {}
     virtual ~LayoutWriter() = default;
     virtual void write_frame(const LabelledFrame& frame) = 0;
     /// Writes the files that describe the sequence, and those of the data set.
@@ -103,16 +147,24 @@ public:
 protected:
     const SequencePlace place_;
     const std::vector<DatasetSensor>& sensors_;
+    const DatasetView& view_;
+
+    /// Only for layouts with a default camera.
+    const Camera& camera() const { return *view_.camera; }
 };
 
 std::unique_ptr<LayoutWriter> make_kitti_writer(SequencePlace place,
-                                                const std::vector<DatasetSensor>& sensors);
+                                                const std::vector<DatasetSensor>& sensors,
+                                                const DatasetView& view);
 std::unique_ptr<LayoutWriter> make_nuscenes_writer(SequencePlace place,
-                                                   const std::vector<DatasetSensor>& sensors);
+                                                   const std::vector<DatasetSensor>& sensors,
+                                                   const DatasetView& view);
 std::unique_ptr<LayoutWriter> make_openlabel_writer(SequencePlace place,
-                                                    const std::vector<DatasetSensor>& sensors);
+                                                    const std::vector<DatasetSensor>& sensors,
+                                                    const DatasetView& view);
 std::unique_ptr<LayoutWriter> make_custom_writer(SequencePlace place,
-                                                 const std::vector<DatasetSensor>& sensors);
+                                                 const std::vector<DatasetSensor>& sensors,
+                                                 const DatasetView& view);
 
 /// A scene of nuScenes: a part of a sequence in one split.
 struct SceneStart {
@@ -135,12 +187,5 @@ void write_bytes(const std::filesystem::path& path, const std::string& bytes);
 /// Returns a hash as hexadecimal digits: FNV-1a from two start values.
 /// @param n_digits  at most 32
 std::string make_token(const std::string& text, std::size_t n_digits = 32);
-
-/// Calibration of a camera in the frame of the rig: x right, y down, z forward. Its image
-/// plane is at the distance 1.
-inline constexpr const char* kVirtualCamera = "1 0 0 0 0 1 0 0 0 0 1 0";
-inline constexpr const char* kCameraFromRig = "0 -1 0 0 0 0 -1 0 1 0 0 0";
-/// Returns the lines of the cameras P0 to P3 in a calibration file.
-std::string camera_lines();
 
 }  // namespace relidar::layouts

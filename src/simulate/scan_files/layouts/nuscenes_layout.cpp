@@ -135,8 +135,8 @@ std::string format_day(std::int64_t stamp_ns) {
 
 class NuscenesWriter : public LayoutWriter {
 public:
-    NuscenesWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors)
-        : LayoutWriter(std::move(place), sensors),
+    NuscenesWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors, const DatasetView& view)
+        : LayoutWriter(std::move(place), sensors, view),
           channels_(name_channels(sensors)),
           scenes_(list_scenes(place_.number, place_.n_frames)),
           scene_prefix_(make_token("scene " + place_.key, kPrefixDigits)) {
@@ -374,8 +374,9 @@ std::vector<SceneStart> list_scenes(std::size_t sequence, int n_frames) {
 }
 
 std::unique_ptr<LayoutWriter> make_nuscenes_writer(SequencePlace place,
-                                                   const std::vector<DatasetSensor>& sensors) {
-    return std::make_unique<NuscenesWriter>(std::move(place), sensors);
+                                                   const std::vector<DatasetSensor>& sensors,
+                                                   const DatasetView& view) {
+    return std::make_unique<NuscenesWriter>(std::move(place), sensors, view);
 }
 
 }  // namespace relidar::layouts

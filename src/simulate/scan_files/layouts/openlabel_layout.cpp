@@ -82,8 +82,8 @@ private:
 
 class OpenLabelWriter : public LayoutWriter {
 public:
-    OpenLabelWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors)
-        : LayoutWriter(std::move(place), sensors),
+    OpenLabelWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors, const DatasetView& view)
+        : LayoutWriter(std::move(place), sensors, view),
           folder_(place_.folder / "sequences" / fmt::format("{:02}", place_.number)) {
         std::error_code failed;
         if (place_.is_new) fs::remove_all(folder_, failed);
@@ -138,7 +138,10 @@ public:
               {"objects", objects_},
               {"frames", frames_}}}};
         write_bytes(folder_ / "openlabel.json", json.dump() + "\n");
-        write_bytes(folder_ / "calib.txt", camera_lines() + "Tr: " + kCameraFromRig + "\n");
+        std::string calibration;
+        for (int camera = 0; camera < 4; ++camera)
+            calibration += fmt::format("P{}: 1 0 0 0 0 1 0 0 0 0 1 0\n", camera);
+        write_bytes(folder_ / "calib.txt", calibration + "Tr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n");
         write_bytes(folder_ / "poses.txt", poses_);
         write_bytes(folder_ / "times.txt", times_);
         Json splits = {{"train", Json::array()}, {"val", Json::array()}};
@@ -192,8 +195,9 @@ private:
 }  // namespace
 
 std::unique_ptr<LayoutWriter> make_openlabel_writer(SequencePlace place,
-                                                    const std::vector<DatasetSensor>& sensors) {
-    return std::make_unique<OpenLabelWriter>(std::move(place), sensors);
+                                                    const std::vector<DatasetSensor>& sensors,
+                                                    const DatasetView& view) {
+    return std::make_unique<OpenLabelWriter>(std::move(place), sensors, view);
 }
 
 }  // namespace relidar::layouts
