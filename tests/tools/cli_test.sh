@@ -222,7 +222,7 @@ layouts() {
     local python layout
     find_numpy
     good render run --out labelled "$@" --format bin --boxes
-    for layout in kitti nuscenes openlabel; do
+    for layout in kitti nuscenes openlabel custom; do
         good render run --out $layout "$@" --layout $layout
         says "wrote 2 scans .*$layout"
         bad 2 "$layout: sequence 0 .*--force" render run --out $layout "$@" --layout $layout
@@ -235,8 +235,10 @@ layouts() {
             check "read_layouts.py finds faults" test $? = 0
         fi
     done
+    [[ $python = none ]] || "$python" "$tests/compare_layouts.py" kitti nuscenes custom --rig packet_rig.json >out 2>&1
+    check "the layouts have different boxes" test $? = 0
     good info nuscenes
-    says "^frames +4 "
+    says "^frames +2 "
     says "^boxes +[12]: "
     bad 2 "--layout openlabel: kitti " render run --out kitti --layout openlabel
     bad 2 " labelled/top" render run --out labelled/top --layout kitti

@@ -12,6 +12,7 @@ objects and errors, and exits with code 1 if a check fails.
 """
 import json
 import pathlib
+import struct
 import sys
 
 import numpy as np
@@ -41,8 +42,8 @@ def count_inside(points, world_from_box, size):
 
 
 def read_kitti(folder, sequence):
-    """Returns the points of each frame and its boxes: pose, size (length, width, height), in the frame of
-    the LiDAR."""
+    """Returns the points of each frame and its boxes: pose, size (length, width, height) and class, in the
+    frame of the rig. The third value is None: the pose of the rig in the world is unknown."""
     tracks = (folder / f"tracking/training/label_02/{sequence:04}.txt").read_text().splitlines()
     first = sum(s["frames"] for s in json.loads((folder / "dataset.json").read_text())["sequences"][:sequence])
     frames = []
@@ -73,13 +74,14 @@ def read_kitti(folder, sequence):
             # Axes of the box in the camera: length, width (left), height (up).
             axes = np.array([[c, 0, -s], [s, 0, c], [0, -1, 0]]).T
             centre = np.array([x, y - height / 2, z])
-            boxes.append((pose(CAMERA_FROM_VELO.T @ axes, CAMERA_FROM_VELO.T @ centre), (length, width, height)))
+            boxes.append((pose(CAMERA_FROM_VELO.T @ axes, CAMERA_FROM_VELO.T @ centre), (length, width, height), words[0]))
         frames.append((points[:, :3], boxes, None))
     return frames
 
 
 def read_nuscenes(folder, sequence):
-    """Like read_kitti(), in the world. Checks that all keys refer to records, and all chains."""
+    """Like read_kitti(), in the world. Checks that all keys refer to records, and all chains. The third
+    value is the pose of LIDAR_TOP, with x forward."""
     version = folder / "v1.0-trainval"
     table = {name: {r["token"]: r for r in json.loads((version / f"{name}.json").read_text())} for name in TABLES}
     for name, records in table.items():
@@ -102,12 +104,24 @@ def read_nuscenes(folder, sequence):
             token = table["sample_annotation"][token]["next"]
         check("instance: its chain", len(chain) == instance["nbr_annotations"] and chain[-1] == instance["last_annotation_token"]
               and all(table["sample_annotation"][a]["instance_token"] == instance["token"] for a in chain))
-    scene = next(s for s in table["scene"].values() if s["name"] == f"scene-{sequence:04}")
+    # The scenes have the order of the sequences. Sequence 0 has a scene in both splits, if it has two frames.
+    sequences = json.loads((folder / "dataset.json").read_text())["sequences"]
+    scenes, position = list(table["scene"].values()), 0
+    for number in range(sequence + 1):
+        scenes, position = scenes[position:], 1 + (number == 0 and sequences[0]["frames"] > 1)
+    scenes = scenes[:position]
+    check("scenes: not the frames of the sequence", sum(s["nbr_samples"] for s in scenes) == sequences[sequence]["frames"])
     splits = json.loads((version / "splits.json").read_text())
     check("splits: not each scene once", sorted(splits["train"] + splits["val"]) == sorted(s["name"] for s in table["scene"].values()))
+    check("splits: no scene for validation", splits["train"] and (splits["val"] or sequences[0]["frames"] == 1))
+    return sum((read_scene(folder, table, scene) for scene in scenes), [])
+
+
+def read_scene(folder, table, scene):
     frames, token = [], scene["first_sample_token"]
     while token:
         sample = table["sample"][token]
+        check("sample: another scene", sample["scene_token"] == scene["token"])
         points, from_lidar = [], []
         for data in table["sample_data"].values():
             if data["sample_token"] != token:
@@ -115,25 +129,29 @@ def read_nuscenes(folder, sequence):
             check("sample_data: time", data["is_key_frame"] and data["timestamp"] == sample["timestamp"])
             mount = table["calibrated_sensor"][data["calibrated_sensor_token"]]
             ego = table["ego_pose"][data["ego_pose_token"]]
+            channel = table["sensor"][mount["sensor_token"]]["channel"]
+            to_world = pose(rotation(*ego["rotation"]), ego["translation"]) @ pose(
+                rotation(*mount["rotation"]), mount["translation"])
+            if channel == "LIDAR_TOP":   # x right, y forward
+                world_from_lidar = to_world @ pose(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], float), [0, 0, 0])
             cloud = np.fromfile(folder / data["filename"], "<f4").reshape(-1, 5)
             slope = cloud[:, 2] / np.hypot(cloud[:, 0], cloud[:, 1])
             of_rings = [np.median(slope[cloud[:, 4] == ring]) for ring in np.unique(cloud[:, 4])]
             check("rings: not from the lowest to the highest", (np.diff(of_rings) > 0).all())
-            to_world = pose(rotation(*ego["rotation"]), ego["translation"]) @ pose(
-                rotation(*mount["rotation"]), mount["translation"])
             points.append(cloud[:, :3] @ to_world[:3, :3].T + to_world[:3, 3])
-            from_lidar.append(table["sensor"][mount["sensor_token"]]["channel"])
+            from_lidar.append(channel)
         check(f"channels {from_lidar}", len(set(from_lidar)) == len(from_lidar) and "LIDAR_TOP" in from_lidar)
         points = np.concatenate(points)
         boxes = []
         for a in table["sample_annotation"].values():
             if a["sample_token"] == token:
                 width, length, height = a["size"]
-                boxes.append((pose(rotation(*a["rotation"]), a["translation"]), (length, width, height)))
+                category = table["category"][table["instance"][a["instance_token"]]["category_token"]]["name"]
+                boxes.append((pose(rotation(*a["rotation"]), a["translation"]), (length, width, height), category))
                 # Points of the object can be outside of its box, and ground is in the lowest part.
                 least, most = (count_inside(points, boxes[-1][0], np.add(boxes[-1][1], m)) for m in (-0.3, 1.0))
                 check("num_lidar_pts", max(least, 1) <= a["num_lidar_pts"] <= most)
-        frames.append((points, boxes, "world"))
+        frames.append((points, boxes, world_from_lidar))
         token = sample["next"]
     check("scene: number of samples", len(frames) == scene["nbr_samples"] and sample["token"] == scene["last_sample_token"])
     return frames
@@ -160,7 +178,7 @@ def read_openlabel(folder, sequence):
                 i["frame_start"] <= int(key) <= i["frame_end"] for i in known["frame_intervals"]))
             (cuboid,) = data["object_data"]["cuboid"]
             x, y, z, qx, qy, qz, qw, *size = cuboid["val"]
-            boxes.append((pose(rotation(qw, qx, qy, qz), (x, y, z)), size))
+            boxes.append((pose(rotation(qw, qx, qy, qz), (x, y, z)), size, known["type"]))
             of_object = labels >> 16 == int(number) + 1
             away = count_inside(points[of_object, :3], boxes[-1][0], np.add(size, 1.0))
             check(f"{key}: points of {number} are outside", of_object.any() and away >= 0.95 * of_object.sum())
@@ -168,6 +186,31 @@ def read_openlabel(folder, sequence):
         frames.append((points[:, :3], boxes, None))
     check("openlabel: frames", len(frames) == len((folder / "poses.txt").read_text().splitlines()))
     return frames
+
+
+def read_custom(folder, sequence):
+    """Like read_kitti()."""
+    counts = [s["frames"] for s in json.loads((folder / "dataset.json").read_text())["sequences"]]
+    listed = {split: (folder / f"ImageSets/{split}.txt").read_text().split() for split in ("train", "val")}
+    with_boxes = [f.stem for f in sorted((folder / "labels").iterdir()) if f.read_text()]
+    check("ImageSets: not each frame with a box once", sorted(listed["train"] + listed["val"]) == with_boxes)
+    check("ImageSets: no frame for validation", listed["val"] or counts[0] == 1)
+    frames = []
+    for number in range(sum(counts[:sequence]), sum(counts[:sequence + 1])):
+        points = np.load(folder / f"points/{number:06}.npy")
+        check(f"{number}: x y z intensity", points.dtype == np.float32 and points.shape[1] == 4 and points[:, 3].max() <= 1)
+        check(f"{number}: other points", points.tobytes() == (folder / f"points/{number:06}.bin").read_bytes())
+        boxes = []
+        for line in (folder / f"labels/{number:06}.txt").read_text().splitlines():
+            *numbers, name = line.split()
+            x, y, z, length, width, height, heading = map(float, numbers)
+            turn = rotation(np.cos(heading / 2), 0, 0, np.sin(heading / 2))
+            boxes.append((pose(turn, (x, y, z)), (length, width, height), name))
+        frames.append((points[:, :3], boxes, None))
+    return frames
+
+
+READERS = {"kitti": read_kitti, "nuscenes": read_nuscenes, "openlabel": read_openlabel, "custom": read_custom}
 
 
 def read_truth(folder, rig):
@@ -189,18 +232,18 @@ def read_truth(folder, rig):
 
 def main():
     layout, folder, sequence, *truth = sys.argv[1:]
-    read = {"kitti": read_kitti, "nuscenes": read_nuscenes, "openlabel": read_openlabel}[layout]
-    frames = read(pathlib.Path(folder), int(sequence))
+    frames = READERS[layout](pathlib.Path(folder), int(sequence))
     n_boxes = sum(len(boxes) for _, boxes, _ in frames)
     print(f"{layout}: {len(frames)} frames, {n_boxes} boxes")
-    empty = sum(count_inside(points, m, np.add(size, 1.0)) == 0 for points, boxes, _ in frames for m, size in boxes)
+    empty = sum(count_inside(points, m, np.add(size, 1.0)) == 0 for points, boxes, _ in frames for m, size, _ in boxes)
     check(f"{empty} boxes without points", empty == 0)
     if truth:
         n_expected = n_found = n_near = 0
-        for (_, boxes, where), (world_from_rig, expected) in zip(frames, read_truth(pathlib.Path(truth[0]), truth[1])):
-            to_frame = np.eye(4) if where == "world" else np.linalg.inv(world_from_rig)
-            centre = world_from_rig[:3, 3] if where == "world" else np.zeros(3)
-            near = [(m, s) for m, s in boxes if np.linalg.norm(m[:3, 3] - centre) < MAX_RANGE_M]
+        for (_, boxes, world_from_lidar), (world_from_rig, expected) in zip(frames, read_truth(pathlib.Path(truth[0]), truth[1])):
+            is_local = world_from_lidar is None
+            to_frame = np.linalg.inv(world_from_rig) if is_local else np.eye(4)
+            centre = np.zeros(3) if is_local else world_from_rig[:3, 3]
+            near = [(m, s) for m, s, _ in boxes if np.linalg.norm(m[:3, 3] - centre) < MAX_RANGE_M]
             n_near += len(near)
             for world_from_box, size in expected:
                 box = to_frame @ world_from_box
@@ -215,4 +258,5 @@ def main():
     sys.exit(1 if failures else 0)
 
 
-main()
+if __name__ == "__main__":
+    main()

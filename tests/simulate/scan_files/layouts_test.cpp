@@ -18,6 +18,7 @@
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../plates.hpp"
+#include "base/codecs/npy.hpp"
 #include "base/geometry/ray_box.hpp"
 #include "log/classes/dataset_classes.hpp"
 
@@ -151,8 +152,8 @@ TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
     EXPECT_THROW(write_sequence("nuscenes", 3), UsageError) << "another layout";
     const std::string first = read_contents(folder / "training/label_2/000004.txt");
     write_sequence("kitti", 1, true);
-    EXPECT_EQ(read_contents(folder / "ImageSets/train.txt"), "000000\n000001\n000002\n");
-    EXPECT_EQ(read_contents(folder / "ImageSets/val.txt"), "000003\n000004\n000005\n");
+    EXPECT_EQ(read_contents(folder / "ImageSets/train.txt"), "000000\n000001\n");
+    EXPECT_EQ(read_contents(folder / "ImageSets/val.txt"), "000002\n000003\n000004\n000005\n");
     EXPECT_EQ(read_contents(folder / "training/label_2/000004.txt"), first);
     EXPECT_TRUE(std::filesystem::exists(folder / "tracking/training/velodyne/0001/000002.bin"));
     EXPECT_THROW(check_dataset_folder(folder / "training", "kitti"), UsageError) << "files of others";
@@ -166,8 +167,10 @@ TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
 TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {
     for (const std::uint64_t seed : {1, 2}) write_sequence("nuscenes", seed);
     write_sequence("nuscenes", 1, true);
-    const Log log = load_log("nuscenes:" + folder.string(), {});
-    EXPECT_TRUE(log.name.ends_with("scene-0000")) << "a replaced scene keeps its place";
+    const Log first = load_log("nuscenes:" + folder.string(), {});
+    EXPECT_TRUE(first.name.ends_with("scene-0019")) << "a replaced scene keeps its place";
+    EXPECT_EQ(first.frames.size(), 2u * (kSequenceFrames - 1)) << "the last frame is in the validation split";
+    const Log log = load_log("nuscenes:" + folder.string(), {.sequence = "scene-0013"});
     ASSERT_EQ(log.frames.size(), 2u * kSequenceFrames);
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_FALSE(log.rolling_shutter);
@@ -198,6 +201,67 @@ TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {
     }
     std::ofstream(folder / "v1.0-trainval/sample.json") << "[{";
     EXPECT_THROW(write_sequence("nuscenes", 3), DataError) << "a truncated table";
+}
+
+/// Compares with the lists of create_splits_scenes() of the development kit.
+TEST_F(Layouts, NuscenesScenesHaveOfficialNamesOfTheirSplit) {
+    using nlohmann::json;
+    const auto read_json = [&](const std::string& name) {
+        return json::parse(read_contents(folder / "v1.0-trainval" / (name + ".json")));
+    };
+    write_sequence("nuscenes", 0);
+    EXPECT_EQ(read_json("splits"), json({{"train", {"scene-0019"}}, {"val", {"scene-0012"}}}));
+    for (const std::uint64_t seed : {1, 2, 3, 4, 5, 6}) write_sequence("nuscenes", seed);
+    const json train = {"scene-0019", "scene-0020", "scene-0021", "scene-0022", "scene-0023"};
+    EXPECT_EQ(read_json("splits"),
+              json({{"train", train}, {"val", {"scene-0012", "scene-0013", "scene-0014"}}}));
+    std::map<std::string, std::string> scene_of;
+    for (const json& sample : read_json("sample")) scene_of[sample["token"]] = sample["scene_token"];
+    for (const json& scene : read_json("scene")) {
+        EXPECT_EQ(scene["nbr_samples"], scene["name"] == "scene-0019"   ? kSequenceFrames - 1
+                                        : scene["name"] == "scene-0012" ? 1
+                                                                        : kSequenceFrames);
+        EXPECT_EQ(scene_of[scene["first_sample_token"]], scene["token"]);
+        EXPECT_EQ(scene_of[scene["last_sample_token"]], scene["token"]);
+    }
+    for (const char* table : {"sample", "sample_data", "sample_annotation"}) {
+        const json records = read_json(table);
+        const std::string sample = table == std::string("sample") ? "token" : "sample_token";
+        std::map<std::string, std::string> scene_of_record;
+        for (const json& record : records) scene_of_record[record["token"]] = scene_of[record[sample]];
+        for (const json& record : records)
+            if (const std::string next = record["next"]; !next.empty()) {
+                EXPECT_EQ(scene_of_record[next], scene_of_record[record["token"]]) << table;
+            }
+    }
+}
+
+/// OpenPCDet fails on categories that nuScenes does not have.
+TEST_F(Layouts, NuscenesHasOnlyItsCategories) {
+    for (DatasetSensor& sensor : sensors) sensor.options.actors[0].category = "Tram";
+    write_sequence("nuscenes", 0);
+    std::set<std::string> found;
+    for (const auto& record : nlohmann::json::parse(read_contents(folder / "v1.0-trainval/category.json")))
+        found.insert(record.at("name").get<std::string>());
+    EXPECT_EQ(found, (std::set<std::string>{"human.pedestrian.adult", "movable_object.debris"}));
+}
+
+TEST_F(Layouts, CustomFilesHaveTheSamePointsAndTheBoxesOfTheRig) {
+    write_sequence("custom", 0);
+    EXPECT_EQ(read_contents(folder / "labels/000001.txt"),
+              "10.0000 2.0000 -1.2500 4.0000 2.0000 1.5000 0.4000 Car\n"
+              "4.0000 4.0000 -1.1000 0.6000 0.6000 1.8000 0.7854 Pedestrian\n");
+    const std::string bin = read_contents(folder / "points/000001.bin");
+    const NamedArray npy = codecs::parse_npy("points", read_contents(folder / "points/000001.npy"));
+    EXPECT_EQ(npy.shape, (ArrayShape{bin.size() / 16, 4}));
+    EXPECT_EQ(npy.dtype, "f4");
+    ASSERT_EQ(npy.bytes.size(), bin.size());
+    EXPECT_EQ(std::memcmp(npy.bytes.data(), bin.data(), bin.size()), 0);
+    for (DatasetSensor& sensor : sensors) sensor.options.actors.clear();
+    write_sequence("custom", 1);
+    EXPECT_EQ(read_contents(folder / "labels/000004.txt"), "");
+    EXPECT_EQ(read_contents(folder / "ImageSets/train.txt"), "000000\n000001\n");
+    EXPECT_EQ(read_contents(folder / "ImageSets/val.txt"), "000002\n") << "frames without boxes";
 }
 
 /// With the usual step, the farthest ring is at 400.00 m, which readers take for rays
@@ -341,6 +405,8 @@ TEST_F(Layouts, RejectWhatALayoutCannotStore) {
     times_s.assign(1'000'001, kStart_s);
     ScratchFolder other;
     EXPECT_THROW(DatasetSequenceWriter(other.path, "kitti", sensors, times_s, false), UsageError);
+    ScratchFolder third;
+    EXPECT_THROW(DatasetSequenceWriter(third.path, "custom", sensors, times_s, false), UsageError);
 }
 
 }  // namespace

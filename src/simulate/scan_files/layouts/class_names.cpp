@@ -22,7 +22,31 @@ constexpr ObjectNames kObjectNames[] = {{"Car", "vehicle.car", 10, 252},
                                         {"Cyclist", "vehicle.bicycle", 31, 253},
                                         {"Cyclist", "vehicle.motorcycle", 32, 255},
                                         {"Pedestrian", "human.pedestrian.adult", 30, 254},
-                                        {"Misc", "other", 99, 259}};
+                                        {"Misc", "movable_object.debris", 99, 259}};
+/// Names of nuScenes that OpenPCDet knows. It fails on any other.
+constexpr std::string_view kNuscenesNames[] = {"animal",
+                                               "human.pedestrian.adult",
+                                               "human.pedestrian.child",
+                                               "human.pedestrian.construction_worker",
+                                               "human.pedestrian.personal_mobility",
+                                               "human.pedestrian.police_officer",
+                                               "human.pedestrian.stroller",
+                                               "human.pedestrian.wheelchair",
+                                               "movable_object.barrier",
+                                               "movable_object.debris",
+                                               "movable_object.pushable_pullable",
+                                               "movable_object.trafficcone",
+                                               "static_object.bicycle_rack",
+                                               "vehicle.bicycle",
+                                               "vehicle.bus.bendy",
+                                               "vehicle.bus.rigid",
+                                               "vehicle.car",
+                                               "vehicle.construction",
+                                               "vehicle.emergency.ambulance",
+                                               "vehicle.emergency.police",
+                                               "vehicle.motorcycle",
+                                               "vehicle.trailer",
+                                               "vehicle.truck"};
 /// Names of KITTI that no class has.
 constexpr const char* kMoreKittiNames[] = {"Tram", "Person_sitting"};
 
@@ -32,7 +56,7 @@ std::string choose_name(const std::string& layout, const LabelledObject& object,
     if (layout == "custom") return name_of(object.object_class);
     const ObjectNames& names = find_object_names(object.object_class);
     if (layout == "nuscenes")
-        return object.label.find('.') == std::string::npos ? names.nuscenes : object.label;
+        return std::ranges::count(kNuscenesNames, object.label) > 0 ? object.label : names.nuscenes;
     return std::ranges::count(kMoreKittiNames, object.label) > 0 ? object.label : names.kitti;
 }
 

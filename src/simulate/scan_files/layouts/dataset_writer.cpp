@@ -30,7 +30,8 @@ struct LayoutKind {
 };
 constexpr LayoutKind kLayouts[] = {{"kitti", make_kitti_writer, kitti_camera},
                                    {"nuscenes", make_nuscenes_writer, nuscenes_camera},
-                                   {"openlabel", make_openlabel_writer, nullptr}};
+                                   {"openlabel", make_openlabel_writer, nullptr},
+                                   {"custom", make_custom_writer, nullptr}};
 
 /// Reads the list of sequences of a data set.
 /// @return no value if the folder has no such list
@@ -78,6 +79,14 @@ DatasetIndex open_index(const fs::path& folder, const std::string& layout) {
     return {layout, {}};
 }
 
+/// Returns the split of a sequence. If the layout lists frames, sequence 0 is in both.
+std::string describe_split(const DatasetIndex& index, std::size_t sequence) {
+    if (index.is_validation(sequence)) return "val";
+    const int n_frames = index.sequences[sequence].n_frames, first = first_val_frame(sequence, n_frames);
+    if (first == n_frames || index.layout == "openlabel") return "train";
+    return fmt::format("train; val from frame {}", first);
+}
+
 /// Writes the list of sequences, which read_index() reads when another sequence is added.
 void write_index(const fs::path& folder, const DatasetIndex& index) {
     Json sequences = Json::array();
@@ -85,7 +94,7 @@ void write_index(const fs::path& folder, const DatasetIndex& index) {
         const DatasetIndex::Sequence& sequence = index.sequences[s];
         sequences.push_back({{"key", sequence.key},
                              {"frames", sequence.n_frames},
-                             {"split", index.is_validation(s) ? "val" : "train"},
+                             {"split", describe_split(index, s)},
                              {"settings", sequence.settings}});
     }
     const Json json = {{"format", kIndexFormat}, {"layout", index.layout}, {"sequences", sequences}};
@@ -160,6 +169,11 @@ DatasetView complete_view(DatasetView view, const std::string& layout) {
     return view;
 }
 
+/// Explains the names of scenes to users of the layout nuscenes.
+constexpr const char* kSceneNames =
+    "\nThe scenes have names of nuScenes, although they are none of its scenes: OpenPCDet, mmdet3d and the "
+    "development kit select the scenes of a split by the official names.\n";
+
 /// Writes a description for users: licence, split, and the settings of each sequence.
 void write_readme(const fs::path& folder, const DatasetIndex& index) {
     std::string text = fmt::format(
@@ -167,13 +181,16 @@ void write_readme(const fs::path& folder, const DatasetIndex& index) {
         "Written by relidar {} (`relidar render --layout {}`). The points are simulated from the recorded "
         "logs below, so the licence of each log applies. Objects have a box if a sensor sees them and a "
         "point is in the box. All points of a frame have the same reference time.\n\n"
-        "Validation split: every fifth sequence, or the last one of up to four. If there is only one "
-        "sequence, and the layout lists frames, its last fifth.\n",
-        RELIDAR_VERSION, index.layout);
+        "Validation split: the sequences 1, 6, 11, ..., and the last fifth of sequence 0 if the layout lists "
+        "frames. So a frame never changes its split when sequences are added.\n{}",
+        RELIDAR_VERSION, index.layout, index.layout == "nuscenes" ? kSceneNames : "");
     for (std::size_t s = 0; s < index.sequences.size(); ++s) {
         const Json& settings = index.sequences[s].settings;
         text += fmt::format("\n## Sequence {}\n\n- frames: {}\n- split: {}\n", s, index.sequences[s].n_frames,
-                            index.is_validation(s) ? "val" : "train");
+                            describe_split(index, s));
+        if (index.layout == "nuscenes")
+            for (const SceneStart& scene : list_scenes(s, index.sequences[s].n_frames))
+                text += fmt::format("- {} from frame {}\n", scene.name, scene.first_frame);
         for (const auto& [key, value] : settings.items())
             if (key != "times_s")
                 text += fmt::format("- {}: {}\n", key,
@@ -208,15 +225,16 @@ SequencePlace place_sequence(DatasetIndex& index, DatasetIndex::Sequence sequenc
 
 }  // namespace
 
-bool DatasetIndex::is_validation(std::size_t sequence) const {
-    constexpr std::size_t kFold = 5;
-    if (sequences.size() >= kFold) return sequence % kFold == kFold - 1;
-    return sequences.size() > 1 && sequence + 1 == sequences.size();
+int first_val_frame(std::size_t sequence, int n_frames) {
+    constexpr int kFold = 5;
+    if (sequence == 0 && n_frames > 1) return n_frames - std::max(1, n_frames / kFold);
+    return sequence % kFold == 1 ? 0 : n_frames;
 }
 
+bool DatasetIndex::is_validation(std::size_t sequence) const { return is_validation(sequence, 0); }
+
 bool DatasetIndex::is_validation(std::size_t sequence, int frame) const {
-    if (sequences.size() != 1) return is_validation(sequence);
-    return frame >= sequences[0].n_frames - sequences[0].n_frames / 5;
+    return frame >= first_val_frame(sequence, sequences[sequence].n_frames);
 }
 
 void write_bytes(const fs::path& path, const std::string& bytes) {
@@ -225,8 +243,7 @@ void write_bytes(const fs::path& path, const std::string& bytes) {
     write_text_file(path, bytes);
 }
 
-void write_rig_points(const fs::path& path, const LabelledFrame& frame,
-                      const std::vector<DatasetSensor>& sensors) {
+std::string pack_rig_points(const LabelledFrame& frame, const std::vector<DatasetSensor>& sensors) {
     std::string bytes;
     for (std::size_t s = 0; s < sensors.size(); ++s)
         for (std::size_t i = 0; i < frame.clouds[s].size(); ++i) {
@@ -234,7 +251,12 @@ void write_rig_points(const fs::path& path, const LabelledFrame& frame,
             append_raw(bytes, glm::vec3(sensors[s].rig_from_sensor * point));
             append_raw(bytes, frame.clouds[s].intensity[i]);
         }
-    write_bytes(path, bytes);
+    return bytes;
+}
+
+void write_rig_points(const fs::path& path, const LabelledFrame& frame,
+                      const std::vector<DatasetSensor>& sensors) {
+    write_bytes(path, pack_rig_points(frame, sensors));
 }
 
 std::string make_token(const std::string& text, std::size_t n_digits) {

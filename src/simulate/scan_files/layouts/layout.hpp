@@ -114,13 +114,16 @@ struct DatasetIndex {
     std::string layout;
     std::vector<Sequence> sequences;
 
-    /// Returns true for the sequences of the validation split: every fifth one, or the
-    /// last one of up to four. A single sequence is split by frames instead.
+    /// Returns true for the sequences of the validation split.
     bool is_validation(std::size_t sequence) const;
-    /// Returns true for the frames of the validation split: all frames of its sequences,
-    /// or the last fifth of a single sequence.
+    /// Returns true for the frames of the validation split.
     bool is_validation(std::size_t sequence, int frame) const;
 };
+/// Returns the first frame of a sequence that is in the validation split, like all later
+/// ones; `n_frames` if there is none. The split has the sequences 1, 6, 11, ... and the
+/// last fifth of sequence 0, so that a frame never changes its split when sequences are
+/// added.
+int first_val_frame(std::size_t sequence, int n_frames);
 
 /// Where a sequence is stored in a data set.
 struct SequencePlace {
@@ -161,7 +164,22 @@ std::unique_ptr<LayoutWriter> make_nuscenes_writer(SequencePlace place,
 std::unique_ptr<LayoutWriter> make_openlabel_writer(SequencePlace place,
                                                     const std::vector<DatasetSensor>& sensors,
                                                     const DatasetView& view);
+std::unique_ptr<LayoutWriter> make_custom_writer(SequencePlace place,
+                                                 const std::vector<DatasetSensor>& sensors,
+                                                 const DatasetView& view);
 
+/// A scene of nuScenes: a part of a sequence in one split.
+struct SceneStart {
+    std::string name;
+    int first_frame;
+};
+/// Returns the scenes of a sequence.
+/// @throws UsageError if nuScenes does not have enough names
+std::vector<SceneStart> list_scenes(std::size_t sequence, int n_frames);
+
+/// Returns four floats for each point of all sensors: x, y, z in the frame of the rig,
+/// intensity.
+std::string pack_rig_points(const LabelledFrame& frame, const std::vector<DatasetSensor>& sensors);
 /// Writes a KITTI .bin file with the points of all sensors, in the frame of the rig.
 void write_rig_points(const std::filesystem::path& path, const LabelledFrame& frame,
                       const std::vector<DatasetSensor>& sensors);

@@ -2,6 +2,7 @@
 // Writes the 13 tables of nuScenes v1.0 and the LiDAR files. Every frame is a keyframe.
 #include "simulate/scan_files/layouts/layout.hpp"
 
+#include <array>
 #include <cctype>
 #include <fstream>
 #include <map>
@@ -31,6 +32,26 @@ struct VisibilityLevel {
 };
 constexpr VisibilityLevel kVisibilityLevels[] = {
     {"4", "v80-100", 0.8}, {"3", "v60-80", 0.6}, {"2", "v40-60", 0.4}, {"1", "v0-40", 0.0}};
+
+struct SceneNumbers {
+    int first, last;
+};
+/// Official scenes of the splits, without short intervals.
+constexpr SceneNumbers kTrainScenes[] = {
+    {19, 34},   {41, 76},   {120, 135}, {157, 168}, {170, 185},  {224, 264},   {283, 306},
+    {347, 386}, {388, 403}, {410, 459}, {504, 515}, {525, 539},  {582, 600},   {639, 679},
+    {703, 719}, {847, 856}, {882, 903}, {975, 984}, {994, 1025}, {1044, 1058}, {1074, 1102}};
+constexpr SceneNumbers kValScenes[] = {{12, 18},   {92, 110},  {268, 278}, {519, 524}, {552, 565},
+                                       {632, 638}, {794, 800}, {904, 917}, {919, 931}, {1059, 1073}};
+constexpr std::size_t kMaxSequence = 560;  // needs 449 and 113 scenes
+
+/// Returns the name of the n-th scene of a split.
+std::string name_scene(std::span<const SceneNumbers> split, std::size_t n) {
+    auto numbers = split.begin();
+    for (; n >= std::size_t(numbers->last - numbers->first + 1); ++numbers)
+        n -= std::size_t(numbers->last - numbers->first + 1);
+    return fmt::format("scene-{:04}", numbers->first + int(n));
+}
 
 /// LiDAR axes of nuScenes: x right, y forward.
 const Pose kSensorFromFile{glm::angleAxis(-0.5 * kPi, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
@@ -85,6 +106,7 @@ public:
     NuscenesWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors, const DatasetView& view)
         : LayoutWriter(std::move(place), sensors, view),
           channels_(name_channels(sensors)),
+          scenes_(list_scenes(place_.number, place_.n_frames)),
           scene_prefix_(make_token("scene " + place_.key, kPrefixDigits)) {
         for (std::size_t s = 0; s < sensors_.size(); ++s) {
             Json mount = {{"token", token("mount", channels_[s])},
@@ -101,14 +123,18 @@ public:
         const std::size_t i = frame.index;
         const std::int64_t time_us = frame.stamp_ns / 1000;
         if (i == 0) first_stamp_ns_ = frame.stamp_ns;
-        add_linked("sample", "sample", i, {{"timestamp", time_us}, {"scene_token", token("scene")}});
+        if (starts_scene(int(i))) {
+            scene_ = std::ranges::find(scenes_, int(i), &SceneStart::first_frame)->name;
+            records_of_.clear();
+        }
+        add_linked("sample", "sample", i, {{"timestamp", time_us}, {"scene_token", token("scene", scene_)}});
         // The rig and the vehicle can differ. The first sensor links both.
         const Pose world_from_ego =
             frame.world_from_rig * sensors_[0].rig_from_sensor * inverse(ego_from_sensor(0));
         for (std::size_t s = 0; s < sensors_.size(); ++s) {
             const std::string& channel = channels_[s];
             const std::string file =
-                fmt::format("samples/{0}/{1}__{0}__{2}.pcd.bin", channel, scene_name(place_.number), time_us);
+                fmt::format("samples/{0}/{1}__{0}__{2}.pcd.bin", channel, scene_, time_us);
             write_bytes(place_.folder / file, pack_points(frame.clouds[s], frame.n_rings[s]));
             Json pose = {{"token", token("data " + channel, std::to_string(i))}, {"timestamp", time_us}};
             add_pose(pose, world_from_ego);
@@ -128,29 +154,37 @@ public:
     }
 
     void finish(const DatasetIndex& index) override {
-        const std::string log = token("log"), last = std::to_string(place_.n_frames - 1);
+        const std::string log = token("log");
         records_["log"].push_back({{"token", log},
                                    {"logfile", sensors_[0].options.run},
                                    {"vehicle", "relidar"},
                                    {"date_captured", format_day(first_stamp_ns_)},
                                    {"location", "unknown"}});
-        records_["scene"].push_back({{"token", token("scene")},
-                                     {"name", scene_name(place_.number)},
-                                     {"description", file_name_of(sensors_[0].options.config.dataset.path)},
-                                     {"log_token", log},
-                                     {"nbr_samples", place_.n_frames},
-                                     {"first_sample_token", token("sample", "0")},
-                                     {"last_sample_token", token("sample", last)}});
+        for (auto scene = scenes_.begin(); scene != scenes_.end(); ++scene) {
+            const int end =
+                std::next(scene) == scenes_.end() ? place_.n_frames : std::next(scene)->first_frame;
+            records_["scene"].push_back(
+                {{"token", token("scene", scene->name)},
+                 {"name", scene->name},
+                 {"description", file_name_of(sensors_[0].options.config.dataset.path)},
+                 {"log_token", log},
+                 {"nbr_samples", end - scene->first_frame},
+                 {"first_sample_token", token("sample", std::to_string(scene->first_frame))},
+                 {"last_sample_token", token("sample", std::to_string(end - 1))}});
+        }
         for (const VisibilityLevel& level : kVisibilityLevels)
             records_["visibility"].push_back(
                 {{"token", level.token},
                  {"level", level.level},
                  {"description", "share of the rays that no other object blocks"}});
-        const StagedFolder staged(place_.folder / kVersion);
-        for (const char* table : kTables) write_table(staged.path(), table);
         Json splits = {{"train", Json::array()}, {"val", Json::array()}};
         for (std::size_t s = 0; s < index.sequences.size(); ++s)
-            splits[index.is_validation(s) ? "val" : "train"].push_back(scene_name(s));
+            for (const SceneStart& scene : list_scenes(s, index.sequences[s].n_frames)) {
+                splits[index.is_validation(s, scene.first_frame) ? "val" : "train"].push_back(scene.name);
+                scene_order_.push_back(scene.name);
+            }
+        const StagedFolder staged(place_.folder / kVersion);
+        for (const char* table : kTables) write_table(staged.path(), table);
         write_bytes(staged.path() / "splits.json", splits.dump(1));
         staged.replace_folder();
     }
@@ -158,16 +192,21 @@ public:
 private:
     static constexpr std::size_t kPrefixDigits = 12;
     const std::vector<std::string> channels_;
-    const std::string scene_prefix_;  ///< first digits of all tokens of the scene
+    const std::vector<SceneStart> scenes_;
+    const std::string scene_prefix_;        ///< first digits of all tokens of the sequence
+    std::string scene_;                     ///< scene of the current frame
+    std::vector<std::string> scene_order_;  ///< names of all scenes, by sequence
     std::int64_t first_stamp_ns_ = 0;
     /// Indices of the records of a track in their tables.
     struct TrackRecords {
         std::size_t instance, last_annotation, n_annotations = 0;
     };
     std::map<std::string, std::vector<Json>> records_;  ///< by table
-    std::map<std::string, TrackRecords> records_of_;    ///< by track
+    std::map<std::string, TrackRecords> records_of_;    ///< by track, of the current scene
 
-    static std::string scene_name(std::size_t number) { return fmt::format("scene-{:04}", number); }
+    bool starts_scene(int frame) const {
+        return std::ranges::find(scenes_, frame, &SceneStart::first_frame) != scenes_.end();
+    }
     std::string token(const std::string& kind, const std::string& name = "") const {
         return scene_prefix_ + make_token(kind + " " + name + " " + place_.key, 32 - kPrefixDigits);
     }
@@ -183,11 +222,13 @@ private:
         records_[table].push_back(std::move(record));
     }
     /// Adds a record of a frame, with links to the same kind of record of the frames
-    /// before and after.
+    /// before and after in its scene.
     void add_linked(const char* table, const std::string& kind, std::size_t frame, Json record) {
         record["token"] = token(kind, std::to_string(frame));
-        record["prev"] = frame == 0 ? "" : token(kind, std::to_string(frame - 1));
-        record["next"] = int(frame) + 1 == place_.n_frames ? "" : token(kind, std::to_string(frame + 1));
+        const int next = int(frame) + 1;
+        record["prev"] = starts_scene(int(frame)) ? "" : token(kind, std::to_string(frame - 1));
+        record["next"] =
+            next == place_.n_frames || starts_scene(next) ? "" : token(kind, std::to_string(next));
         records_[table].push_back(std::move(record));
     }
 
@@ -206,7 +247,7 @@ private:
         const std::string& track = object.track;
         Json record = {{"token", token("box " + track, std::to_string(frame))},
                        {"sample_token", token("sample", std::to_string(frame))},
-                       {"instance_token", token("track", track)},
+                       {"instance_token", token("track " + scene_, track)},
                        {"attribute_tokens", Json::array()},
                        {"visibility_token", visibility_of(object)}};
         add_pose(record, object.world_from_box);
@@ -221,7 +262,7 @@ private:
             const std::string& category = object.name;
             add_shared("category", category, {{"name", category}, {"description", ""}});
             of_track.instance = records_["instance"].size();
-            records_["instance"].push_back({{"token", token("track", track)},
+            records_["instance"].push_back({{"token", record["instance_token"]},
                                             {"category_token", shared("category", category)},
                                             {"first_annotation_token", record["token"]}});
         } else {
@@ -262,7 +303,9 @@ private:
         std::ranges::for_each(records_[table], add);
         if (table == "map") all = {make_map()};
         if (table == "scene")  // a replaced scene keeps its place
-            std::ranges::sort(all, {}, [](const Json& scene) { return scene.at("name").get<std::string>(); });
+            std::ranges::sort(all, {}, [&](const Json& scene) {
+                return std::ranges::find(scene_order_, scene.at("name").get<std::string>());
+            });
         write_bytes(folder / (table + ".json"), Json(all).dump(0) + "\n");
     }
 
@@ -283,6 +326,20 @@ private:
 };
 
 }  // namespace
+
+std::vector<SceneStart> list_scenes(std::size_t sequence, int n_frames) {
+    if (sequence > kMaxSequence)
+        fail<UsageError>(
+            "--layout nuscenes: found sequence {}, expected at most {}, because nuScenes has no more scenes",
+            sequence, kMaxSequence);
+    const int first_val = first_val_frame(sequence, n_frames);
+    // Sequence 0 has the first scenes of both splits. See first_val_frame().
+    std::vector<SceneStart> scenes;
+    if (first_val > 0) scenes.push_back({name_scene(kTrainScenes, sequence - (sequence + 3) / 5), 0});
+    if (first_val < n_frames)
+        scenes.push_back({name_scene(kValScenes, sequence / 5 + (sequence > 0 ? 1 : 0)), first_val});
+    return scenes;
+}
 
 std::unique_ptr<LayoutWriter> make_nuscenes_writer(SequencePlace place,
                                                    const std::vector<DatasetSensor>& sensors,
