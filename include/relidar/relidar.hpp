@@ -13,6 +13,8 @@
 #include <relidar/base/process_group.hpp>
 #include <relidar/base/progress.hpp>
 #include <relidar/gpu/device.hpp>
+#include <relidar/log/calibration.hpp>
+#include <relidar/log/camera.hpp>
 #include <relidar/log/coverage.hpp>
 #include <relidar/log/log.hpp>
 #include <relidar/log/log_time.hpp>

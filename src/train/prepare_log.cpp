@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <relidar/log/calibration.hpp>
 #include <relidar/train/train.hpp>
 
 #include <algorithm>

@@ -27,7 +27,7 @@ LIBRARIES = {
     "volk": "gpu", "vulkan/": "gpu", "Imf": "base/codecs", "png.h": "base/codecs", "zip.h": "base/codecs",
     "lz4frame.h": "base/codecs", "lz4.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "read/bag",
     "bzlib.h": "read/bag", "proj.h": "log/georeference", "pcap/": "read/bag", "simdjson.h": "read/datasets",
-    "protozero/": "read simulate/scan_files", "pugixml.hpp": "read", "toml++/": "log read run",
+    "protozero/": "read simulate/scan_files", "pugixml.hpp": "read", "toml++/": "log read run simulate/scan_files",
     "nlohmann/": "base gpu log read run simulate", "nanoflann.hpp": "base scene score", "tbb/": "base",
     "oneapi/tbb": "base", "Eigen/": "base log read registration scene score train"}
 UMBRELLA = "include/relidar/relidar.hpp"

@@ -12,7 +12,6 @@
 
 #include <relidar/base/math.hpp>
 #include <relidar/log/body_table.hpp>
-#include <relidar/log/camera.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/conventions.hpp>
 #include <relidar/log/georeference.hpp>
@@ -253,6 +252,27 @@ struct AzimuthInterval {
     bool operator==(const AzimuthInterval&) const = default;
 };
 
+/// A pinhole camera without distortion. Its frame has x right, y down, z forward, as in
+/// KITTI, OpenCV and nuScenes. Pixel (u, v) has its centre at integer coordinates, so the
+/// picture reaches from -0.5 to columns - 0.5.
+struct Camera {
+    std::string name;
+    double focal_x_px = 0.0, focal_y_px = 0.0;
+    double centre_x_px = 0.0, centre_y_px = 0.0;  ///< pixel on the optical axis
+    int columns = 0, rows = 0;
+    /// Mounting of the camera. The frame of the rig is the frame of the log's LiDAR (its
+    /// first, or `--lidar`): x forward, y left, z up.
+    Pose rig_from_camera = {};
+
+    /// Returns the pixel (u, v) of a point, also outside the picture, or nothing for a
+    /// point that is not in front of the camera.
+    /// @param point_m [3] metres, frame of the camera
+    std::optional<glm::dvec2> project(const glm::dvec3& point_m) const;
+    /// Returns the unit vector from the camera through a pixel, in the frame of the camera.
+    glm::dvec3 direction_of(const glm::dvec2& pixel) const;
+    bool contains(const glm::dvec2& pixel) const;  ///< true if the pixel is in the picture
+};
+
 /// A LiDAR log. Its world origin is the vehicle in the middle frame.
 struct Log {
     std::string name;
@@ -362,42 +382,6 @@ WorldReturn locate_return(const Log& log, const Frame& frame, std::size_t ray, s
 /// are interpolated, enlarged by margin_m, and exist as in
 /// BoxTrack::is_observed().
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& p, double t_s, double margin_m);
-
-/// Distances of the points from common planes, before and after the calibration.
-struct RangeCalibrationResult {
-    std::size_t returns = 0;  ///< number of returns that were compared
-    double rms_before = 0.0;  ///< Root mean square distance of points from their plane, in metres.
-    double rms_after = 0.0;   ///< The same distance (RMS) after adding an offset for each beam.
-    bool adopted = false;     ///< True if the offsets were stored in the beams.
-};
-/// Errors before and after the calibration of intensities.
-struct IntensityCalibrationResult {
-    std::size_t returns = 0;  ///< number of returns that were compared
-    /// RMS difference between intensities and their mean at the same point of a surface.
-    double rms_before = 0.0;
-    double rms_after = 0.0;  ///< The same difference with the corrections that were adopted.
-    bool shared = false;     ///< True if the log now has an IntensityResponse.
-    bool beams = false;      ///< True if the beams now have gains and offsets.
-};
-/// Estimates two models of the intensity by least squares: the dependence on range and
-/// incidence (Log::intensity_response), and gain and offset of each beam
-/// (Beam). Both are fitted to returns that hit the same 0.1 m of a surface. A model, or
-/// both together, is adopted only if it reduces the error by a further 5 %. The mean
-/// beam, and a beam that shares no surface with others, has gain 1 and offset 0. (Not in
-/// the paper.)
-/// @param frame_indices  indices into Log::frames of the frames to use
-IntensityCalibrationResult calibrate_intensity(Log& log, const std::vector<int>& frame_indices);
-/// Measures the range noise of each LiDAR (Lidar::range_noise) from second differences
-/// between neighbouring firings of a beam. The scans must be in image order. A bin with
-/// fewer than 200 returns uses the value of the neighbouring bin. (Not in the paper.)
-/// @param frame_indices  indices into Log::frames of the frames to use
-/// @return number of returns that were used; 0: nothing was measured
-std::size_t calibrate_noise(Log& log, const std::vector<int>& frame_indices);
-/// Estimates the range offset of each beam (Beam), centimetres in many datasets, from
-/// returns on the same planes in cells of 0.3 m. Their mean is 0. Offsets that make the
-/// planes less than 3 % thinner are set to 0. (Not in the paper.)
-/// @param frame_indices  indices into Log::frames of the frames to use
-RangeCalibrationResult calibrate_ranges(Log& log, const std::vector<int>& frame_indices);
 
 /// Split of the frames into training and test frames.
 struct Split {

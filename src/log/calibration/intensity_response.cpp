@@ -14,6 +14,7 @@
 
 #include <Eigen/Cholesky>
 
+#include <relidar/log/calibration.hpp>
 #include <relidar/log/log.hpp>
 
 #include "base/parallel.hpp"

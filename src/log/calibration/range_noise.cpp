@@ -9,6 +9,7 @@
 #include <cmath>
 #include <utility>
 
+#include <relidar/log/calibration.hpp>
 #include <relidar/log/log.hpp>
 
 #include "base/geometry/incidence.hpp"

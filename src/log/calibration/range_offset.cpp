@@ -4,6 +4,7 @@
 #include <cmath>
 #include <optional>
 
+#include <relidar/log/calibration.hpp>
 #include <relidar/log/log.hpp>
 
 #include "base/geometry/cell_key.hpp"

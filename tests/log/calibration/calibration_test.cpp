@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include <relidar/log/calibration.hpp>
 #include <relidar/log/log.hpp>
 #include <relidar/read/dataset.hpp>
 #include "base/random.hpp"

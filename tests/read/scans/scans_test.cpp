@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Points are computed from the rays of a sensor. Each must return to its ray, and fitted
 // sensors must equal the sensor.
+#include <relidar/log/calibration.hpp>
 #include <relidar/read/clouds.hpp>
 
 #include <cmath>
