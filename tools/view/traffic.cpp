@@ -200,8 +200,10 @@ nlohmann::json EditedTraffic::actors_json(double time_s) const {
 
 Run apply_edits(const Run& run, const OtherRunsByName& others, const ActorEdits& edits) {
     Run result = run;
+    ActorEdits saved = edits;
+    saved.hidden.clear();  // hidden standing objects stay in the background
     SceneWithLog driving = apply_moves(
-        add_copies(release_edited({result.scene, result.log}, edits), others, edits.copies), edits);
+        add_copies(release_edited({result.scene, result.log}, saved), others, edits.copies), edits);
     for (const std::string& track : edits.removed) driving = remove_track(std::move(driving), track);
     result.set_driving_scene(std::move(driving));
     const std::vector<EditHistoryEntry> done = make_history(run, others, edits);

@@ -34,9 +34,10 @@ std::size_t find_instance(const SceneWithLogView& scene_and_log, const std::stri
         // The error suggests a setting that lists all current actors and this track.
         actor_ids.push_back(track_id);
         fail<UsageError>(
-            "cannot edit track \"{}\": the log has a box for it, but it has no model, because its class is "
-            "not in init.actor_classes, or it has fewer points than init.actor_min_points; train with "
-            "init.actor_tracks = {} to make it an actor",
+            "cannot edit track \"{}\": the log has a box for it, but it moves and has no model, so it is "
+            "part of "
+            "the background or left out, because its class is not in init.actor_classes, or it has fewer "
+            "points than init.actor_min_points; train with init.actor_tracks = {} to make it an actor",
             track_id, fmt::join(actor_ids, ","));
     }
     const std::string message = fmt::format("cannot edit track \"{}\": the run has no such track", track_id);

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include <fmt/ranges.h>
+
 #include <relidar/run/run.hpp>
 #include <relidar/scene/labels.hpp>
 #include "base/fail.hpp"
@@ -22,8 +24,11 @@ constexpr double kCutMargin_m = 0.2;
 // Labels jitter and are turned. Up to this distance, surfels belong to the object unless
 // they are connected with surfels farther away, for example of a wall.
 constexpr double kLooseMargin_m = 0.6, kLink_m = 0.3;
-// Surfels below belong to the ground: all of them, and level ones.
-constexpr double kGroundNoise_m = 0.05, kLevelGround_m = 0.15;
+// In the box, surfels belong to the ground if centre and upper end are at most
+// this high above it. Tyres begin at the ground, and many surfels there stand upright.
+constexpr double kGroundNoise_m = 0.05, kGroundTop_m = 0.1;
+// Around the box, lower surfels belong to the ground.
+constexpr double kLowObject_m = 0.15;
 constexpr double kMinGroundNormalZ = 0.75;  // as in ground.cpp
 // Largest distance of ground around the object from the ground that ground.cpp finds.
 constexpr double kMaxGroundStep_m = 0.3, kMaxOffPlane_m = 0.1;
@@ -39,6 +44,14 @@ constexpr std::size_t kMostViews = 64;
 glm::dmat3 surfel_axes(const Surfels& surfels, std::size_t i) {
     const glm::vec4& q = surfels.rotation[i];  // w, x, y, z
     return glm::mat3_cast(glm::normalize(glm::dquat(q.x, q.y, q.z, q.w)));
+}
+
+/// Returns the standard deviation of a surfel along z.
+double upward_m(const Surfels& surfels, std::size_t i) {
+    const glm::dmat3 axes = surfel_axes(surfels, i);
+    const glm::dvec2 scale_m = glm::exp(glm::dvec2(surfels.log_scale[i]));
+    const double w_m = surfels.log_scale_w.empty() ? 0.0 : std::exp(double(surfels.log_scale_w[i]));
+    return glm::length(glm::dvec3(axes[0].z, axes[1].z, axes[2].z) * glm::dvec3(scale_m, w_m));
 }
 
 double largest(const glm::dvec3& v) { return std::max({v.x, v.y, v.z}); }
@@ -197,7 +210,10 @@ std::vector<bool> select_surfels(const Surfels& background, const StandingBox& b
         if (out_m > kLooseMargin_m + kLink_m || z_m < -2.0 * box.half_m.z) continue;
         const double height_m = ground ? point.z - ground->height_m(glm::dvec2(point)) : z_m + box.half_m.z;
         const bool is_in_box = out_m <= kCutMargin_m;
-        if (height_m < (is_in_box && !is_level(background, i) ? kGroundNoise_m : kLevelGround_m)) continue;
+        const bool is_ground =
+            is_in_box ? height_m < kGroundNoise_m && height_m + 2.0 * upward_m(background, i) < kGroundTop_m
+                      : height_m < kLowObject_m;
+        if (is_ground) continue;
         const bool is_nearer_to_other = std::ranges::any_of(others, [&](const StandingBox& other) {
             return largest(other.outside_m(point)) < std::max(0.0, out_m);
         });
@@ -235,7 +251,7 @@ Surfels fill_ground(const Surfels& background, const StandingBox& box, const Sur
     for (std::size_t i = 0; i < background.size(); ++i) {
         const glm::dvec3 point(background.mean[i]);
         if (box.outside_footprint_m(point) < kRings_m[0] && is_level(background, i) &&
-            std::abs(point.z - ground.height_m(glm::dvec2(point))) < kLevelGround_m)
+            std::abs(point.z - ground.height_m(glm::dvec2(point))) < kLowObject_m)
             level.push_back(i);
     }
     const glm::dvec3 axis = glm::cross(glm::dvec3(0.0, 0.0, 1.0), ground.normal());
@@ -387,13 +403,14 @@ std::string describe_release(const ReleasedObject& released, const std::string& 
     const Scene& scene = released.edited.scene;
     const auto object = std::ranges::find(scene.instances, track, &ModelInstance::track);
     const SurfelModel& model = scene.models[object->model];
-    std::string sides = list_unseen_sides(model.surface->covered_sides());
-    if (!sides.empty()) sides = " and these sides of it: " + sides;
-    return fmt::format(
-        "{} stood in the background; its {} surfels are now an actor. The log did not observe {:.1f} m2 of "
-        "the "
-        "ground below it, which continues the ground around it{}",
-        track, model.count, released.filled_m2, sides);
+    const std::string sides = list_unseen_sides(model.surface->covered_sides());
+    std::vector<std::string> unseen;
+    if (released.filled_m2 > 0.0)
+        unseen.push_back(fmt::format(
+            "{:.1f} m2 of the ground below it, which now continue the ground around it", released.filled_m2));
+    if (!sides.empty()) unseen.push_back("these sides of it: " + sides);
+    return fmt::format("{} stood in the background, and its {} surfels were cut out{}{}", track, model.count,
+                       unseen.empty() ? "" : "; the log did not observe ", fmt::join(unseen, ", and "));
 }
 
 }  // namespace relidar
