@@ -380,8 +380,7 @@ ReleasedObject release_standing(SceneWithLog driving, const std::string& track) 
     if (cut.empty())
         fail<UsageError>(
             "cannot edit track \"{}\": it stands still, and the background has no surfels in its box above "
-            "the "
-            "ground; expected an object that the log has observed",
+            "the ground; expected an object that the log has observed",
             track);
     Surfels background = all.reorder(kept), surfels = to_box_frame(all.reorder(cut), box);
     std::size_t n_filled = 0;
