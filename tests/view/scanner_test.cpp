@@ -176,6 +176,36 @@ TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
     EXPECT_THROW(scanner().render_message(tab, wish), UsageError);
 }
 
+/// The label is around the highest surfels of the background.
+TEST_F(LiveScan, EditsStandingObjectsAsAnEditedRunDoes) {
+    relidar::Run run = make_small_run();
+    const std::vector<glm::vec3>& mean = run.scene.surfels.mean;
+    const glm::vec3 highest_m = *std::ranges::max_element(
+        mean.begin(), mean.begin() + run.scene.models.front().count, {}, &glm::vec3::z);
+    run.log.boxes.push_back(
+        {"parked", "Car", {4.0, 2.0, 1.5}, {{0.0}, {{{1.0, 0.0, 0.0, 0.0}, glm::dvec3(highest_m)}}}});
+    BrowserScanRenderer scans(run, {{"other", run}}, device());
+    LiveScanRequest wish;
+    wish.time_s = 0.2;
+    const Json shown = Read(scans.render_message(tab, wish)).header["actors"].back();
+    EXPECT_EQ(shown["track"], "parked");
+    EXPECT_EQ(shown["standing"], true);
+    const auto expect_edited = [&] {
+        const Read live(scans.render_message(tab, wish));
+        expect_same(live, rendered(apply_edits(run, scans.other_runs(), wish.edits), wish.time_s, {}), run);
+        EXPECT_EQ(live.header["instances"][3], "parked");
+    };
+    wish.edits.moves["parked"] = {1.0, -2.0, 0.0, 15.0};
+    expect_edited();
+    wish.edits.copies = {{"parked", "", {5.0, 3.0, -0.9, 0.0, 0.0, 0.0, 0.0}},
+                         {"parked", "other", {8.0, -3.0, -0.9, 0.0, 0.0, 0.0, 0.0}}};
+    expect_edited();
+    wish.edits = {};
+    wish.edits.removed = {"parked"};
+    const Read removed(scans.render_message(tab, wish));
+    expect_same(removed, rendered(apply_edits(run, scans.other_runs(), wish.edits), wish.time_s, {}), run);
+}
+
 TEST_F(LiveScan, PutsCopiesOnTheGround) {
     const BoxTrack& car = run().log.boxes.front();
     const Pose there = car.world_from_box.pose.front();  // the street is flat

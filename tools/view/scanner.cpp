@@ -48,6 +48,8 @@ Json copyable_actors(const Run& run) {
         if (const BoxTrack* box = find_box(run.log, instance.track))
             actors.push_back({{"track", box->id}, {"category", name_of(class_of(*box))}});
     }
+    for (const BoxTrack& box : list_standing(run.scene, run.log, {}))
+        actors.push_back({{"track", box.id}, {"category", box.category}});
     return actors;
 }
 
@@ -214,6 +216,7 @@ Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& fi
 /// their poses. Adds notes about unseen sides to actor_notes_.
 Run BrowserScanRenderer::make_edited_run(const ActorEdits& edits) {
     Run run = run_;
+    run.set_driving_scene(release_edited(run.driving_scene(), edits, &actor_notes_));
     SceneWithLog with_copies = add_copies({std::move(run.scene), run.log}, others_, edits.copies);
     // set_driving_scene() mirrors surfels only for actors without an equal box in `run`.
     // Afterwards, `run` has all boxes of `with_copies`.
@@ -229,13 +232,17 @@ Run BrowserScanRenderer::make_edited_run(const ActorEdits& edits) {
 }
 
 /// Returns a renderer for the scene with all edits. Creates a new renderer only if an
-/// actor is copied or moved for the first time, because the surfels change.
+/// actor is copied or moved, or a standing object is edited, for the first time, because
+/// the surfels change.
 ScanRenderer& BrowserScanRenderer::edited_renderer(const EditedTraffic& traffic) {
     // Scenes with equal lists of copied and moved actors can share a renderer.
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::ActorCopy& copy : traffic.edits().copies) models.emplace_back(copy.from, copy.of);
     for (const auto& [track, by] : traffic.edits().moves)
         if (is_moved(traffic.edits(), track)) models.emplace_back(track, "");
+    for (const BoxTrack& box : list_standing(run_.scene, run_.log, {}))
+        if (std::ranges::count(traffic.instances(), box.id, &ModelInstance::track) > 0)
+            models.emplace_back(box.id, "released");
     if (renderer_ && rendered_ == models) return *renderer_;
 
     renderer_.reset();  // Frees the memory of the old renderer before a new one is created.

@@ -50,7 +50,7 @@ private:
     RecordedScans recorded_;
     std::optional<ScanRenderer> renderer_;
     /// Copied actors as (name of the run, name of the track), moved actors as (name of
-    /// the track, "").
+    /// the track, ""), standing objects that are edited as (name, "released").
     std::vector<std::pair<std::string, std::string>> rendered_;
     std::vector<std::string> actor_notes_;
     std::map<std::string, std::size_t> launches_;

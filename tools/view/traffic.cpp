@@ -43,6 +43,7 @@ SceneWithLog apply_moves(SceneWithLog scene, const ActorEdits& edits) {
 SceneWithLog copy_tracks(const Run& run) {
     SceneWithLog driving{strip_surfels(run.scene), run.log};
     for (SurfelModel& model : driving.scene.models) model.first = model.count = 0;
+    driving.scene.blocks.clear();
     return driving;
 }
 
@@ -115,6 +116,21 @@ std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName
 
 }  // namespace
 
+SceneWithLog release_edited(SceneWithLog scene, const ActorEdits& edits, std::vector<std::string>* notes) {
+    std::set<std::string> tracks = edits.removed;
+    tracks.insert(edits.hidden.begin(), edits.hidden.end());
+    for (const auto& [track, shift] : edits.moves) tracks.insert(track);
+    for (const ActorEdits::ActorCopy& copy : edits.copies)
+        if (copy.from.empty()) tracks.insert(copy.of);
+    for (const std::string& track : tracks) {
+        if (!find_standing({scene.scene, scene.log}, track)) continue;
+        ReleasedObject released = release_standing(std::move(scene), track);
+        if (notes) notes->push_back(describe_release(released, track));
+        scene = std::move(released.edited);
+    }
+    return scene;
+}
+
 SceneWithLog add_copies(SceneWithLog scene, const OtherRunsByName& others,
                         const std::vector<ActorEdits::ActorCopy>& copies) {
     return copy_actors(std::move(scene), others, copies, [](const Run& run) { return run.driving_scene(); });
@@ -139,7 +155,8 @@ ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& othe
 }
 
 EditedTraffic::EditedTraffic(const Run& run, const OtherRunsByName& others, const ActorEdits& edits)
-    : driving_(apply_moves(copy_actors(copy_tracks(run), others, edits.copies, copy_tracks), edits)),
+    : driving_(apply_moves(
+          copy_actors(release_edited(copy_tracks(run), edits), others, edits.copies, copy_tracks), edits)),
       edits_(edits) {
     check_tracks(driving_, edits.removed);
     check_tracks(driving_, edits.hidden);
@@ -168,14 +185,25 @@ nlohmann::json EditedTraffic::actors_json(double time_s) const {
                           {"category", name_of(class_of(*box))},
                           {"size", {box->size_m.x, box->size_m.y, box->size_m.z}},
                           {"present", box->is_observed(time_s)},
+                          {"standing", false},
                           {"pose", pose_json(box->world_from_box.pose_at(time_s))}});
     }
+    for (const BoxTrack& box : list_standing(driving_.scene, driving_.log, {}))
+        actors.push_back({{"track", box.id},
+                          {"category", box.category},
+                          {"size", {box.size_m.x, box.size_m.y, box.size_m.z}},
+                          {"present", true},
+                          {"standing", true},
+                          {"pose", pose_json(box.world_from_box.pose.front())}});
     return actors;
 }
 
 Run apply_edits(const Run& run, const OtherRunsByName& others, const ActorEdits& edits) {
     Run result = run;
-    SceneWithLog driving = apply_moves(add_copies({result.scene, result.log}, others, edits.copies), edits);
+    ActorEdits saved = edits;
+    saved.hidden.clear();  // hidden standing objects stay in the background
+    SceneWithLog driving = apply_moves(
+        add_copies(release_edited({result.scene, result.log}, saved), others, edits.copies), edits);
     for (const std::string& track : edits.removed) driving = remove_track(std::move(driving), track);
     result.set_driving_scene(std::move(driving));
     const std::vector<EditHistoryEntry> done = make_history(run, others, edits);

@@ -17,6 +17,11 @@ namespace relidar::view {
 /// By the name of the run on the web page.
 using OtherRunsByName = std::map<std::string, Run>;
 
+/// Makes actors of all standing objects that the edits name, in the order of their names.
+/// @param notes  output: what the log has not observed of them
+SceneWithLog release_edited(SceneWithLog scene, const ActorEdits& edits,
+                            std::vector<std::string>* notes = nullptr);
+
 /// @throws UsageError if a run or track is unknown
 SceneWithLog add_copies(SceneWithLog scene, const OtherRunsByName& others,
                         const std::vector<ActorEdits::ActorCopy>& copies);
@@ -37,7 +42,8 @@ public:
     const std::vector<ModelInstance>& instances() const { return driving_.scene.instances; }
     /// In the world frame of the dataset, for ScanRequest::dataset_from_actor.
     ActorTracksByName visible_poses(double time_s) const;
-    /// Including hidden actors: [{track, category, size, present, pose}].
+    /// Including hidden actors and standing objects: [{track, category, size, present,
+    /// standing, pose}].
     nlohmann::json actors_json(double time_s) const;
 
 private:

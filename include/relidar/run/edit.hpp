@@ -101,6 +101,26 @@ std::vector<std::string> list_changed_tracks(const SceneWithLogView& edited,
 /// @param tracks  the actors to check
 Notes check_placement(const SceneWithLogView& edited, const std::vector<std::string>& tracks);
 
+/// A labelled object that stood still in the background and is now an actor.
+struct ReleasedObject {
+    SceneWithLog edited;
+    /// Ground below the object that the log has not observed, square metres. Its height,
+    /// intensity and drop probability are those of the ground around it.
+    double filled_m2 = 0.0;
+};
+/// Makes an actor of a labelled object that stands still: cuts its surfels out of the
+/// background into a model, and closes the ground below it. Its box gets one pose for the
+/// full log. Changes nothing if the track is not such an object. All edits of a track
+/// call this function first. A scene without surfels only gets the track.
+/// @throws UsageError if the background has no surfels in the box
+ReleasedObject release_standing(SceneWithLog scene_and_log, const std::string& track);
+/// Describes in one line which parts of a released object and of the ground below it the
+/// log did not observe.
+std::string describe_release(const ReleasedObject& released, const std::string& track);
+/// Returns the box of a labelled object that stands still in the background, with one
+/// pose for the full log. Returns nothing for an actor or an unknown track.
+std::optional<BoxTrack> find_standing(const SceneWithLogView& scene_and_log, const std::string& track);
+
 /// Removes an actor, so that rays hit the surfaces behind it.
 /// @throws UsageError if no instance has this track, like all functions below with a
 /// parameter `track`

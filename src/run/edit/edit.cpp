@@ -34,9 +34,10 @@ std::size_t find_instance(const SceneWithLogView& scene_and_log, const std::stri
         // The error suggests a setting that lists all current actors and this track.
         actor_ids.push_back(track_id);
         fail<UsageError>(
-            "cannot edit track \"{}\": the log has a box for it, but it is part of the background, because "
-            "it is parked, its class is not in init.actor_classes, or it has fewer points than "
-            "init.actor_min_points; train with init.actor_tracks = {} to make it an actor",
+            "cannot edit track \"{}\": the log has a box for it, but it moves and has no model, so it is "
+            "part of "
+            "the background or left out, because its class is not in init.actor_classes, or it has fewer "
+            "points than init.actor_min_points; train with init.actor_tracks = {} to make it an actor",
             track_id, fmt::join(actor_ids, ","));
     }
     const std::string message = fmt::format("cannot edit track \"{}\": the run has no such track", track_id);
@@ -49,7 +50,10 @@ SceneWithLogView view_of(const SceneWithLog& scene_and_log) {
     return {scene_and_log.scene, scene_and_log.log};
 }
 
+/// Returns the box of a track to change it. Releases a standing object, so that it is an
+/// actor.
 BoxTrack& mutable_box(SceneWithLog& scene_and_log, const std::string& track_id) {
+    scene_and_log = release_standing(std::move(scene_and_log), track_id).edited;
     return const_cast<BoxTrack&>(find_actor_box(view_of(scene_and_log), track_id));
 }
 
@@ -205,6 +209,18 @@ bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
            std::ranges::equal(first.pose, second.pose, is_same_pose);
 }
 
+/// Returns the track of an object before all edits if its current track is equal, except
+/// for rounding errors. For a standing object, this is the median of its labels.
+std::optional<PoseTrack> find_equal_track(const BoxTrack& box, const std::vector<BoxTrack>& boxes_before,
+                                          const Log& log) {
+    const auto before = std::ranges::find(boxes_before, box.id, &BoxTrack::id);
+    if (before == boxes_before.end()) return std::nullopt;
+    if (is_same_track(box.world_from_box, before->world_from_box)) return before->world_from_box;
+    const std::optional<BoxTrack> standing = make_standing(*before, log);
+    if (!standing || !is_same_track(box.world_from_box, standing->world_from_box)) return std::nullopt;
+    return standing->world_from_box;
+}
+
 void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const NewActorMotion& start) {
     box.world_from_box = start.dataset_path.pose.empty()
                              ? make_straight_track(edited.log, start)
@@ -218,7 +234,8 @@ void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const
 }  // namespace
 
 const BoxTrack& find_actor_box(const SceneWithLogView& scene_and_log, const std::string& track_id) {
-    find_instance(scene_and_log, track_id);  // throws if the scene has no such actor
+    // throws if the scene has no such actor
+    if (!find_standing(scene_and_log, track_id)) find_instance(scene_and_log, track_id);
     if (const BoxTrack* box = find_box(scene_and_log.log, track_id)) return *box;
     fail(
         "cannot edit track \"{}\": the trained scene has this actor, but the log has no box with this track "
@@ -248,6 +265,7 @@ PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
 }
 
 SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track) {
+    scene_and_log = release_standing(std::move(scene_and_log), track).edited;
     find_instance(view_of(scene_and_log), track);
     keep_actors(scene_and_log, [&](const std::string& name) { return name != track; });
     return scene_and_log;
@@ -282,6 +300,12 @@ SceneWithLog scale_speed(SceneWithLog edited, const std::string& track, double f
         fail<UsageError>(
             "cannot change the speed of track \"{}\": found the factor {}, expected a number above 0", track,
             factor);
+    const auto is_first = [&](const Pose& pose) {
+        return pose.translation == world_from_box.pose.front().translation;
+    };
+    if (std::ranges::all_of(world_from_box.pose, is_first))
+        fail<UsageError>("cannot change the speed of track \"{}\": it stands still; expected a moving actor",
+                         track);
     const double start_s = world_from_box.time_s.empty() ? 0.0 : world_from_box.time_s.front();
     // A pose t seconds after the start is now reached after t / factor seconds.
     for (double& time_s : world_from_box.time_s) time_s = start_s + (time_s - start_s) / factor;
@@ -294,10 +318,7 @@ std::vector<std::string> list_changed_tracks(const SceneWithLogView& edited,
     std::vector<std::string> changed;
     for (const ModelInstance& instance : edited.scene.instances) {
         const BoxTrack* box = find_box(edited.log, instance.track);
-        const auto original = std::ranges::find(boxes_before, instance.track, &BoxTrack::id);
-        if (box &&
-            (original == boxes_before.end() || !is_same_track(box->world_from_box, original->world_from_box)))
-            changed.push_back(instance.track);
+        if (box && !find_equal_track(*box, boxes_before, edited.log)) changed.push_back(instance.track);
     }
     return changed;
 }
@@ -305,11 +326,10 @@ std::vector<std::string> list_changed_tracks(const SceneWithLogView& edited,
 SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
     std::set<std::string> changed;  // ids of tracks that were moved or added
     for (BoxTrack& box : scene_and_log.log.boxes) {
-        const auto before = std::ranges::find(boxes_before, box.id, &BoxTrack::id);
-        if (before == boxes_before.end() || !is_same_track(box.world_from_box, before->world_from_box))
-            changed.insert(box.id);
         // Without the rounding errors of an actor that was moved there and back.
-        else box.world_from_box = before->world_from_box;
+        if (auto before = find_equal_track(box, boxes_before, scene_and_log.log))
+            box.world_from_box = *std::move(before);
+        else changed.insert(box.id);
     }
     std::vector<ModelInstance>& instances = scene_and_log.scene.instances;
     for (ModelInstance& instance : instances) {
@@ -364,6 +384,9 @@ SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, co
 
 SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
                           const std::string& track, const NewActorMotion& start) {
+    if (find_standing(view_of(source_scene), track))
+        return insert_track(std::move(scene_and_log), release_standing(source_scene, track).edited, track,
+                            start);
     BoxTrack box = find_actor_box(view_of(source_scene), track);
     const bool is_id_used = find_box(scene_and_log.log, box.id) != nullptr;
     if (is_id_used) box.id = make_track_id(scene_and_log, track + "-insert");

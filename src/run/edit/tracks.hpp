@@ -5,10 +5,14 @@
 
 namespace relidar {
 
-/// Returns the box of an actor.
-/// @throws UsageError if no instance has this track
+/// Returns the box of an actor, or of a labelled object that stands still.
+/// @throws UsageError if the scene has no such track
 /// @throws DataError if the log has no box for it
 const BoxTrack& find_actor_box(const SceneWithLogView& scene_and_log, const std::string& track_id);
+
+/// Returns the box of an object that stands still, with the median of its poses at all
+/// times of the log. Returns nothing if it moves or has no poses.
+std::optional<BoxTrack> make_standing(BoxTrack box, const Log& log);
 
 /// Returns the times of the sweeps. LiDARs that sweep together have the same time.
 std::vector<double> list_sweep_times_s(const Log& log);

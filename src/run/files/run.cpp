@@ -202,7 +202,32 @@ void overwrite_run(const Run& run, const std::function<void()>& remove_earlier_f
     move_files(staged.path, run.folder, remove_earlier_files);
 }
 
+namespace {
+
+/// Removes the classes of objects that stood in the background and were released or
+/// removed (release_standing()). The ground below them keeps its class.
+void erase_released(SurfaceClassMap& classes, const Log& log_before, const SceneWithLog& edited) {
+    constexpr SurfaceClass kGround[] = {SurfaceClass::road, SurfaceClass::sidewalk, SurfaceClass::terrain,
+                                        SurfaceClass::other_ground};
+    if (classes.empty()) return;
+    for (const BoxTrack& box : log_before.boxes) {
+        const std::optional<BoxTrack> object = find_standing({Scene{}, log_before}, box.id);
+        const bool is_background = find_standing({edited.scene, edited.log}, box.id).has_value();
+        if (!object || is_background) continue;
+        const Pose box_from_world = inverse(object->world_from_box.pose.front());
+        const glm::dvec3 reach_m = 0.5 * box.size_m + kMoverMargin_m;
+        std::erase_if(classes, [&](const SurfaceClassCell& cell) {
+            const glm::dvec3 centre_m = kClassCell_m * (glm::dvec3(cell.grid_index) + 0.5);
+            return glm::all(glm::lessThan(glm::abs(box_from_world * centre_m), reach_m)) &&
+                   std::ranges::count(kGround, cell.surface) == 0;
+        });
+    }
+}
+
+}  // namespace
+
 void Run::set_driving_scene(SceneWithLog driving_scene) {
+    erase_released(classes, log, driving_scene);
     driving_scene = complete_actors(std::move(driving_scene), log.boxes);
     scene = std::move(driving_scene.scene);
     log = std::move(driving_scene.log);

@@ -79,9 +79,7 @@ void run_edit(const EditOptions& options) {
     driving = complete_actors(std::move(driving), original_log.boxes);
     report += placement_notes(driving, original_log);
 
-    // set_driving_scene() completes actors whose boxes differ from these. All actors
-    // are complete already, so none may differ.
-    run.log.boxes = driving.log.boxes;
+    run.log.boxes = original_log.boxes;  // shows set_driving_scene() what has changed
     run.set_driving_scene(std::move(driving));
     edited.save_run_in(run);
     if (!options.quiet)
@@ -99,6 +97,8 @@ at the log's first frame. They are called TRACK-copy-1, and so on.
 If z is `ground`, the surface below the box decides height and tilt. Without yaw_deg the actor
 then faces as the log's vehicle did at its nearest point. A driving actor follows the ground.
 The ground has no steps above 0.3 m, and parked cars are not ground.
+A labelled object that stands still is part of the background. An edit that names it makes an
+actor of it, and closes the ground below it. --speed needs an actor that moves.
 A trajectory has the times of the log. Between its lines, positions are interpolated linearly and
 rotations by slerp. Outside its times the actor is absent. Actors may overlap: a ray meets the
 nearest surface.

@@ -261,6 +261,20 @@ EditResult apply_georeference(SceneWithLog edited, const EditArgument& edit) {
     return {std::move(edited), "set the georeference to that of " + edit.value, fit.note};
 }
 
+/// Makes an actor of the standing object that an edit names, if any. Returns a note about
+/// what the log has not observed of it.
+std::string release_named(SceneWithLog& edited, const EditArgument& edit) {
+    constexpr std::string_view kOtherOptions[] = {"--class", "--insert", "--georeference", "--keep"};
+    if (std::ranges::count(kOtherOptions, edit.option) > 0) return "";
+    const std::string track =
+        edit.value.substr(0, edit.option == "--remove" ? std::string::npos : edit.value.find_first_of(":@="));
+    if (!find_standing({edited.scene, edited.log}, track)) return "";
+    ReleasedObject released = release_standing(std::move(edited), track);
+    const std::string note = describe_release(released, track);
+    edited = std::move(released.edited);
+    return note;
+}
+
 EditResult apply_keep_only(SceneWithLog edited, const EditArgument& edit) {
     if (edit.value == "background") return {remove_actors(std::move(edited)), "kept only the background", ""};
     if (edit.value == "actors") return {remove_background(std::move(edited)), "kept only the actors", ""};
@@ -271,7 +285,8 @@ EditResult apply_keep_only(SceneWithLog edited, const EditArgument& edit) {
 
 const std::vector<EditOption>& edit_options() {
     static const std::vector<EditOption> options{
-        {"--remove", apply_remove, "TRACK", "remove an actor; rays then hit the surfaces behind it"},
+        {"--remove", apply_remove, "TRACK",
+         "remove an actor or a labelled object that stands still; rays then hit the surfaces behind it"},
         {"--move", apply_move_edit, "TRACK:dx,dy,dz[,yaw_deg]",
          "shift the full path of an actor by these metres in the frame of its box (forward, left, up), and "
          "turn the actor to the left by yaw_deg"},
@@ -303,7 +318,10 @@ const std::vector<EditOption>& edit_options() {
 
 EditResult apply_edit(SceneWithLog edited, const EditArgument& edit) {
     try {
-        return option_of(edit).apply(std::move(edited), edit);
+        const std::string note = release_named(edited, edit);
+        EditResult result = option_of(edit).apply(std::move(edited), edit);
+        result.note = join_notes({note, result.note});
+        return result;
     } catch (const UsageError& error) {
         // Adds the option and its value to the message, so that the user knows which of
         // several edits failed.

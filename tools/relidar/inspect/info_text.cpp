@@ -89,7 +89,13 @@ std::string box_table(const std::vector<BoxSummary>& boxes, bool show_instance_c
         rows.back().push_back(summary.instance ? fmt::format("{}", *summary.instance) : "-");
         rows.back().push_back(summary.instance ? fmt::format("{}", summary.n_surfels) : "-");
     }
-    return "\n" + format_table(rows) + box_notes(boxes);
+    std::string text = "\n" + format_table(rows) + box_notes(boxes);
+    std::vector<std::string> editable;
+    for (const BoxSummary& summary : boxes)
+        if (summary.instance || !summary.box.is_moving()) editable.push_back(summary.box.id);
+    if (show_instance_columns && !editable.empty())
+        text += fmt::format("Tracks that `relidar edit` can change: {}\n", fmt::join(editable, ", "));
+    return text;
 }
 
 /// Returns a table of the conventions with which a log was read, or an empty text.

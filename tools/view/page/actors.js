@@ -123,17 +123,17 @@ export class Actors {
   }
 
   rebuild(actors, instances) {
-    this.rows = new Map(actors.map((a) => [a.track, this.rows.get(a.track) ?? this.makeRow(a, instances.indexOf(a.track))]));
+    this.rows = new Map(actors.map((a) => [a.track, this.rows.get(a.track) ?? this.makeRow(a, Math.max(0, instances.indexOf(a.track)))]));
     this.list.replaceChildren(...this.rows.values());
   }
 
-  makeRow({ track, category }, instance) {
+  makeRow({ track, category, standing }, instance) {
     const row = Object.assign(document.createElement('details'), { className: 'actor' });
     row.dataset.track = track;
     const summary = document.createElement('summary');
     const swatch = document.createElement('i');
     swatch.style.background = `rgb(${instanceColour(instance).join(' ')})`;
-    summary.append(swatch, `${track} · ${category}`);
+    summary.append(swatch, `${track} · ${category}${standing ? ' · parked' : ''}`);
     const buttons = Object.assign(document.createElement('div'), { className: 'row' });
     const place = button('Place …', () => this.place(this.placing?.of === track ? null : { of: track, from: '' }));
     place.title = 'Place a copy of this actor on the ground where you click next';
@@ -201,6 +201,6 @@ export class Actors {
   }
 
   get boxes() {
-    return this.known.map((actor, i) => ({ ...actor, instance: i + 1 })).filter((a) => a.present && !this.removed.has(a.track) && !this.hidden.has(a.track));
+    return this.known.map((actor, i) => ({ ...actor, instance: actor.standing ? 0 : i + 1 })).filter((a) => a.present && !this.removed.has(a.track) && !this.hidden.has(a.track));
   }
 }
