@@ -10,8 +10,8 @@
 namespace relidar {
 
 /// Returns the camera with a projection matrix of KITTI. The caller sets its size.
-/// @param projection  [3,4] row-major. A point p in the frame of the rectified camera 0 has
-/// the pixel projection * (p, 1).
+/// @param projection  [3,4] row-major. A point p in the frame of the rectified camera 0
+/// has the pixel projection * (p, 1).
 Camera make_camera(const std::string& name, const std::array<double, 12>& projection,
                    const Pose& rectified_from_rig);
 /// Returns camera 2 of KITTI (left colour camera, rectified) of 2011-09-26: 1242 x 375.

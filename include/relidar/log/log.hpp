@@ -268,7 +268,8 @@ struct Camera {
     /// point that is not in front of the camera.
     /// @param point_m [3] metres, frame of the camera
     std::optional<glm::dvec2> project(const glm::dvec3& point_m) const;
-    /// Returns the unit vector from the camera through a pixel, in the frame of the camera.
+    /// Returns the unit vector from the camera through a pixel, in the frame of the
+    /// camera.
     glm::dvec3 direction_of(const glm::dvec2& pixel) const;
     bool contains(const glm::dvec2& pixel) const;  ///< true if the pixel is in the picture
 };
@@ -280,8 +281,8 @@ struct Log {
     std::vector<Lidar> lidars = std::vector<Lidar>(1);  ///< LiDARs, at least one
     /// Cameras whose calibration the log has. Their rig is the first LiDAR.
     std::vector<Camera> cameras = {};
-    std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
-    PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
+    std::vector<Frame> frames;     ///< frames of all LiDARs, ascending in time
+    PoseTrack world_from_vehicle;  ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;
     /// Where all objects have boxes, in the frame of the first LiDAR. Empty: all round.
     std::optional<AzimuthInterval> labelled_azimuth = {};

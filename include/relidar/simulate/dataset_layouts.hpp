@@ -37,8 +37,8 @@ enum class DatasetFov {
     camera,  ///< in the picture
     labels   ///< where the log has labels for all objects
 };
-/// Where the log has labels for all objects. Azimuths are in the frame of its LiDAR at the
-/// time of each frame.
+/// Where the log has labels for all objects. Azimuths are in the frame of its LiDAR at
+/// the time of each frame.
 struct LabelledSector {
     AzimuthInterval azimuth;
     PoseTrack dataset_from_lidar;
@@ -46,7 +46,7 @@ struct LabelledSector {
 /// Names of classes in a data set, by the name of a class (name_of(ObjectClass)) or by a
 /// label of the log, which comes first. Objects with an empty name are left out.
 using ClassNames = std::map<std::string, std::string>;
-/// Reads pairs of names from a TOML or JSON file, for example {"Van": "Car", "Other": ""}.
+/// Reads pairs of names from a TOML or JSON file, such as {"Van": "Car", "Other": ""}.
 /// @throws DataError if the file has something else, or a name has spaces
 ClassNames read_class_names(const std::filesystem::path& path);
 

@@ -29,7 +29,8 @@ const Camera* find_front_camera(const Log& log) {
 }
 
 DatasetFov parse_fov(const std::string& name, const std::string& layout) {
-    // The loaders of KITTI remove points outside the picture, but not boxes without points.
+    // The loaders of KITTI remove points outside the picture, but not boxes without
+    // points.
     if (name.empty()) return layout == "kitti" ? DatasetFov::camera : DatasetFov::all;
     return static_cast<DatasetFov>(std::ranges::find(kFovNames, name) - kFovNames.begin());
 }

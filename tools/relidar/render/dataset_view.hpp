@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The options --camera, --fov and --classes of `relidar render --layout`, and the pictures of frames.
+// The options --camera, --fov and --classes of `relidar render --layout`, and the
+// pictures of frames.
 #pragma once
 
 #include <string>

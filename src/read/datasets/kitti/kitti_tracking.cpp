@@ -63,8 +63,8 @@ Pose read_velo_to_camera(const fs::path& file) {
            read::parse_pose(matrix, place);
 }
 
-/// Returns the azimuths that camera 2 sees, in whose view KITTI labels objects. Nothing if
-/// the calibration has no such camera, so that labels are not known to end there.
+/// Returns the azimuths that camera 2 sees, in whose view KITTI labels objects. Nothing
+/// if the calibration has no such camera, so that labels are not known to end there.
 std::optional<AzimuthInterval> read_labelled_azimuth(const fs::path& file) {
     constexpr double kMinFocal_px = 10.0;
     const std::string text = read_text_file(file);

@@ -11,8 +11,8 @@
 namespace relidar::layouts {
 namespace {
 
-/// Returns true for pixels of the picture in the sense of KITTI's development kits: from 0
-/// to columns, and from 0 to rows.
+/// Returns true for pixels of the picture in the sense of KITTI's development kits: from
+/// 0 to columns, and from 0 to rows.
 bool is_in_picture(const Camera& camera, const std::optional<glm::dvec2>& pixel) {
     return pixel && pixel->x >= 0.0 && pixel->y >= 0.0 && pixel->x < camera.columns && pixel->y < camera.rows;
 }
@@ -38,8 +38,8 @@ std::optional<ImageBox> project_box(const Camera& camera, const Pose& camera_fro
     };
     for (std::size_t i = 0; i < corners.size(); ++i) {
         if (corners[i].z >= kNearPlane_m) add(corners[i]);
-        // An edge joins two corners whose numbers differ in one bit. Adds the point in which
-        // the edge crosses the near plane.
+        // An edge joins two corners whose numbers differ in one bit. Adds the point in
+        // which the edge crosses the near plane.
         for (const std::size_t axis : {1, 2, 4}) {
             const glm::dvec3 &a = corners[i], &b = corners[i | axis];
             if ((a.z < kNearPlane_m) == (b.z < kNearPlane_m)) continue;

@@ -44,7 +44,8 @@ std::string label_columns(const LabelledObject& object, const Pose& camera_from_
         size_m.z, size_m.y, size_m.x, location.x, location.y, location.z, rotation_y);
 }
 
-/// Returns the columns of DontCare after its truncation: part of a picture without labels.
+/// Returns the columns of DontCare after its truncation: part of a picture without
+/// labels.
 std::string unlabelled_columns(const ImageBox& box) {
     return fmt::format("-1 -10 {:.2f} {:.2f} {:.2f} {:.2f} -1 -1 -1 -1000 -1000 -1000 -10", box.min_px.x,
                        box.min_px.y, box.max_px.x, box.max_px.y);
@@ -140,7 +141,8 @@ public:
         const fs::path sets = place_.folder / "ImageSets";
         write_bytes(sets / "train.txt", train);
         write_bytes(sets / "val.txt", val);
-        // The frames of a data set with several sequences are not in the order of `train + val`.
+        // The frames of a data set with several sequences are not in the order of `train
+        // + val`.
         write_bytes(sets / "trainval.txt", list_frames(number));
         write_bytes(sets / "test.txt", "");
     }

@@ -34,8 +34,9 @@ struct ImageBox {
     /// Share of the area of the full rectangle that is outside the picture.
     double truncated = 0.0;
 };
-/// Returns the rectangle around the corners of a box, clipped to the picture. Parts of the
-/// box behind the camera do not count. Nothing if the rectangle is not in the picture.
+/// Returns the rectangle around the corners of a box, clipped to the picture. Parts of
+/// the box behind the camera do not count. Nothing if the rectangle is not in the
+/// picture.
 std::optional<ImageBox> project_box(const Camera& camera, const Pose& camera_from_box,
                                     const glm::dvec3& size_m);
 
@@ -62,8 +63,8 @@ struct LabelledFrame {
     std::vector<LidarPoints> clouds = {};  ///< [sensors] deskewed, each in the frame of its sensor
     std::vector<int> n_rings = {};         ///< [sensors]
     std::vector<LabelledObject> objects = {};
-    /// Parts of the picture that may show objects without a label: boxes of the log that no
-    /// ray hits, and what is outside the labelled sector.
+    /// Parts of the picture that may show objects without a label: boxes of the log that
+    /// no ray hits, and what is outside the labelled sector.
     std::vector<ImageBox> unlabelled = {};
     const RenderedScan* picture = nullptr;  ///< null: the picture is black
 };
