@@ -21,6 +21,7 @@
 #include "base/codecs/npy.hpp"
 #include "base/geometry/ray_box.hpp"
 #include "log/classes/dataset_classes.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -144,6 +145,29 @@ TEST_F(Layouts, KittiLabelsHaveTheClosedFormInTheCamera) {
     EXPECT_EQ(type, "Pedestrian");
     EXPECT_NEAR(v[0], 0.5, 0.07) << "half is left of the field of view";
     EXPECT_EQ(v[1], 2.0) << "a third is visible";
+}
+
+TEST_F(Layouts, UsersNameTheClasses) {
+    sensors.resize(1);
+    sensors[0].options.actors[0].category = "vehicle.car";
+    std::ofstream(folder / "names.json") << R"({"Car": "Vehicle", "Pedestrian": ""})";
+    std::ofstream(folder / "names.toml") << "\"vehicle.car\" = \"Limousine\"\n";
+    for (const auto& [file, expected] :
+         {std::pair("names.json", "Vehicle\n"), {"names.toml", "Limousine\n.* Pedestrian\n"}}) {
+        const std::filesystem::path data = folder / "data" / file;
+        DatasetSequenceWriter writer(data, "custom", sensors, {kStart_s}, false,
+                                     {.class_names = read_class_names(folder / file)});
+        writer.write_scans(std::vector{cast_rays(kStart_s, Pose{}, -45.0, ring_step_rad)});
+        writer.finish();
+        EXPECT_THAT(read_contents(data / "labels/000000.txt"),
+                    testing::MatchesRegex(fmt::format("[^\n]* {}", expected)));
+    }
+    std::ofstream(folder / "spaces.json") << R"({"Car": "big car"})";
+    EXPECT_THAT(get_data_error_message([&] { read_class_names(folder / "spaces.json"); }),
+                test::Names("spaces.json: Car: ... \"big car\" ... without spaces"));
+    std::ofstream(folder / "list.json") << "[1]";
+    EXPECT_THAT(get_data_error_message([&] { read_class_names(folder / "list.json"); }),
+                test::Names("list.json ... pairs"));
 }
 
 TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
