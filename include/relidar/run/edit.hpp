@@ -107,6 +107,7 @@ struct ReleasedObject {
     /// Ground below the object that the log has not observed, square metres. Its height,
     /// intensity and drop probability are those of the ground around it.
     double filled_m2 = 0.0;
+    bool has_ground = true;  ///< false: the log has no ground around the object, so nothing is filled
 };
 /// Makes an actor of a labelled object that stands still: cuts its surfels out of the
 /// background into a model, and closes the ground below it. Its box gets one pose for the

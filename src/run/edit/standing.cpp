@@ -395,7 +395,7 @@ ReleasedObject release_standing(SceneWithLog driving, const std::string& track) 
     add_object(driving, *object, surfels.reorder(kd_tree_order(surfels.mean)));
     const glm::dvec2 size_m = 2.0 * (glm::dvec2(box.half_m) + kCutMargin_m);
     const glm::dvec2 cell_m = size_m / glm::ceil(size_m / kFillStep_m);
-    return {std::move(driving), double(n_filled) * cell_m.x * cell_m.y};
+    return {std::move(driving), double(n_filled) * cell_m.x * cell_m.y, ground.has_value()};
 }
 
 std::string describe_release(const ReleasedObject& released, const std::string& track) {
@@ -407,6 +407,7 @@ std::string describe_release(const ReleasedObject& released, const std::string& 
     if (released.filled_m2 > 0.0)
         unseen.push_back(fmt::format(
             "{:.1f} m2 of the ground below it, which now continue the ground around it", released.filled_m2));
+    if (!released.has_ground) unseen.push_back("the ground below it, which stays open");
     if (!sides.empty()) unseen.push_back("these sides of it: " + sides);
     return fmt::format("{} stood in the background, and its {} surfels were cut out{}{}", track, model.count,
                        unseen.empty() ? "" : "; the log did not observe ", fmt::join(unseen, ", and "));
