@@ -31,6 +31,7 @@
 #include <relidar/score/evaluation.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/simulate/assets.hpp>
+#include <relidar/simulate/camera.hpp>
 #include <relidar/simulate/place_points.hpp>
 #include <relidar/simulate/point_files.hpp>
 #include <relidar/simulate/render.hpp>

@@ -38,6 +38,12 @@ struct Image {
     int columns = 0;
     std::vector<std::uint8_t> rgb;  ///< Pixel values, [rows*columns*3].
 };
+/// 16-bit gray image.
+struct DepthImage {
+    int rows = 0;
+    int columns = 0;
+    std::vector<std::uint16_t> values;  ///< [rows*columns]
+};
 /// Converts an image of scalar values to colours. The colour map is "turbo" (range),
 /// "gray" (intensity, drop) or "heat" (error). Values outside [low, high] are clamped.
 /// NaN values and pixels with mask 0 become dark gray.
@@ -55,8 +61,10 @@ Image stack_images(const std::vector<Image>& images, int vertical_scale = 1);
 /// Writes an image as a PNG file. encode_png() does not write a file, but returns the
 /// bytes.
 /// @param metadata stored as international text (iTXt). A name has 1 to 79 Latin letters.
-/// @throws DataError if rgb is empty or is not rows*columns*3 bytes
+/// @throws DataError if the image is empty or has a wrong number of values
 void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& metadata = {});
+void write_png(const std::filesystem::path& path, const DepthImage& image, const FileMetadata& metadata = {});
 std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& metadata = {});
+std::vector<std::uint8_t> encode_png(const DepthImage& image, const FileMetadata& metadata = {});
 
 }  // namespace relidar

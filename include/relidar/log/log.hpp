@@ -11,6 +11,7 @@
 
 #include <relidar/base/math.hpp>
 #include <relidar/log/body_table.hpp>
+#include <relidar/log/camera.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/conventions.hpp>
 #include <relidar/log/georeference.hpp>
@@ -244,6 +245,8 @@ struct Log {
     std::string name;
     std::string source;                                 ///< path of the log
     std::vector<Lidar> lidars = std::vector<Lidar>(1);  ///< LiDARs, at least one
+    /// Cameras whose calibration the log has. Their rig is the first LiDAR.
+    std::vector<Camera> cameras = {};
     std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
     PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;

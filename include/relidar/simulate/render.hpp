@@ -11,6 +11,7 @@
 
 #include <relidar/diff/network.hpp>
 #include <relidar/gpu/device.hpp>
+#include <relidar/log/camera.hpp>
 #include <relidar/log/channels.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
@@ -206,6 +207,8 @@ struct SimulatedSensor {
     /// this: see is_rolling().
     bool rolling_shutter = true;
     VehicleBody body = {};  ///< blocks rays
+    /// Set for a camera (camera_sensor()), empty for a LiDAR.
+    std::optional<Camera> camera = {};
 };
 
 /// Returns true if the sensor fires its rays at different times. Without a rolling

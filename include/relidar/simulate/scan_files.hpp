@@ -63,6 +63,7 @@ struct ScanOutputOptions {
     Weather weather = {};
     std::string run;  ///< folder of the run
     std::string sensor;
+    std::optional<Camera> camera = {};  ///< of scans that are pictures of a camera
     RangeLimits limits;
     /// Relative to the log's sensor, or to the poses of `trajectory`.
     Pose offset;

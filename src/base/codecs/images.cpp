@@ -135,21 +135,27 @@ Image stack_images(const std::vector<Image>& images, int vertical_scale) {
     return result;
 }
 
+namespace {
+
 /// Encodes an image with libpng, then inserts a text chunk per entry of the metadata.
-std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& metadata) {
-    const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
-    if (n == 0 || image.rgb.size() != n)
-        fail("cannot encode a PNG image of {} x {} pixels: found {} bytes, expected {}", image.rows,
-             image.columns, image.rgb.size(), n);
+/// @param png_format  PNG_FORMAT_*, which decides the type of the values
+template <class T>
+std::vector<std::uint8_t> encode_pixels(int rows, int columns, std::span<const T> values,
+                                        std::uint32_t png_format, const FileMetadata& metadata) {
+    const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0)) *
+                          PNG_IMAGE_SAMPLE_CHANNELS(png_format);
+    if (n == 0 || values.size() != n)
+        fail("cannot encode a PNG image of {} x {} pixels: found {} values, expected {}", rows, columns,
+             values.size(), n);
     png_image description{};
     description.version = PNG_IMAGE_VERSION;
-    description.width = png_uint_32(image.columns);
-    description.height = png_uint_32(image.rows);
-    description.format = PNG_FORMAT_RGB;
+    description.width = png_uint_32(columns);
+    description.height = png_uint_32(rows);
+    description.format = png_format;
     png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(description);
     std::vector<std::uint8_t> bytes(size);
     const int succeeded =
-        png_image_write_to_memory(&description, bytes.data(), &size, 0, image.rgb.data(), 0, nullptr);
+        png_image_write_to_memory(&description, bytes.data(), &size, 0, values.data(), 0, nullptr);
     const std::string message = description.message;
     png_image_free(&description);
     if (!succeeded) throw DataError("cannot encode a PNG image: " + message);
@@ -160,9 +166,28 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& met
     return bytes;
 }
 
-void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& metadata) {
-    const std::vector<std::uint8_t> bytes = encode_png(image, metadata);
+void write_bytes(const std::filesystem::path& path, const std::vector<std::uint8_t>& bytes) {
     codecs::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+}
+
+}  // namespace
+
+std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& metadata) {
+    return encode_pixels<std::uint8_t>(image.rows, image.columns, image.rgb, PNG_FORMAT_RGB, metadata);
+}
+
+std::vector<std::uint8_t> encode_png(const DepthImage& image, const FileMetadata& metadata) {
+    // libpng stores values of a linear format unchanged.
+    return encode_pixels<std::uint16_t>(image.rows, image.columns, image.values, PNG_FORMAT_LINEAR_Y,
+                                        metadata);
+}
+
+void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& metadata) {
+    write_bytes(path, encode_png(image, metadata));
+}
+
+void write_png(const std::filesystem::path& path, const DepthImage& image, const FileMetadata& metadata) {
+    write_bytes(path, encode_png(image, metadata));
 }
 
 }  // namespace relidar

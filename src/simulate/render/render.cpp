@@ -194,13 +194,16 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(RenderLane& l
     });
     rays->place(stream, sweep.world_from_sensor, sweep.time_s);
     renderer.record_forward(rays->world_batch());
+    // A camera has no beams, and its surfaces are equally bright at all distances.
+    const IntensityResponse response = sensor.camera ? IntensityResponse{} : log.intensity_response;
     const std::vector<Beam> beams =
-        sensor.is_log_lidar ? sensor.beams
-                            : mean_responses(ray_table, log.lidars[std::size_t(sensor.lidar)].sensor.beams);
+        sensor.is_log_lidar || sensor.camera
+            ? sensor.beams
+            : mean_responses(ray_table, log.lidars[std::size_t(sensor.lidar)].sensor.beams);
     rays->record_measure(stream, renderer.last_batch(),
                          {.range = config.render.range,
                           .beams = beams,
-                          .response = log.intensity_response,
+                          .response = response,
                           .limits = sensor.limits,
                           .min_weight = kMinWeight,
                           .actor_logits = actor_logits_of(lanes->drop_network(), log, sensor)});
@@ -315,6 +318,7 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
     const auto quantise = [&](std::vector<float>& intensities) {
         for (float& intensity : intensities) intensity = scatter.quantise(intensity);
     };
+    if (sensor.camera) return;
     // Sampled intensities already have the steps, unless weather changed them. Second
     // returns keep their expected intensities.
     if (!seed || !is_clear) quantise(scan.image.intensity);

@@ -45,6 +45,7 @@ bool fits_network(const RayDropNetwork* network, const std::string& image_name, 
 ScanRenderPlan::RayDropStage choose_drop_stage(const RayDropNetwork* network, const SimulatedSensor& sensor,
                                                const RayTable& rays, bool has_sub_rays) {
     using enum ScanRenderPlan::RayDropStage;
+    if (sensor.camera) return none;
     if (fits_network(network, kNativeGrid, rays.rows, rays.columns) ||
         (!sensor.grid && fits_network(network, sensor.name, rays.rows, rays.columns)))
         return has_sub_rays ? beams : device;
@@ -58,6 +59,13 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
                          const ScanRenderSettings& settings, const RayDropNetwork* network, bool sampled) {
     ScanRenderPlan plan{.beams = config.sensor};
     if (sensor.returns > 0) plan.beams.returns = sensor.returns;
+    if (sensor.camera) {
+        plan.beams.sub_rays = 1;
+        if (sampled || !settings.weather.is_clear())
+            fail<UsageError>(
+                "cannot render the camera {}: found {}, expected none, because it is that of a LiDAR",
+                sensor.name, sampled ? "a random seed" : "weather");
+    }
     // A beam needs several sub-rays to have returns from two surfaces.
     constexpr int kSubRaysOfTwoReturns = 9;
     if (sensor.returns > 1 && plan.beams.sub_rays == 1) plan.beams.sub_rays = kSubRaysOfTwoReturns;

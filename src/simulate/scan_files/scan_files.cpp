@@ -239,6 +239,7 @@ ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor)
     name_topics(format, lidar.name);
     if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
+    format.camera = sensor.camera;
     format.limits = sensor.limits;
     if (sensor.is_log_lidar && !lidar.pattern) format.packets.sensor = lidar.sensor;
     format.time_shift_ns = time_shift_of(run, sensor);
