@@ -1,41 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pinhole cameras: their geometry, and the cameras that a user can name.
+// Cameras that a user can name.
 #pragma once
 
 #include <array>
-#include <optional>
 #include <string>
 
-#include <relidar/base/math.hpp>
+#include <relidar/log/log.hpp>
 
 namespace relidar {
 
-struct Log;
-
-/// A pinhole camera without distortion. Its frame has x right, y down, z forward, as in
-/// KITTI, OpenCV and nuScenes. Pixel (u, v) has its centre at integer coordinates, so the
-/// picture reaches from -0.5 to columns - 0.5.
-struct Camera {
-    std::string name;
-    double focal_x_px = 0.0, focal_y_px = 0.0;
-    double centre_x_px = 0.0, centre_y_px = 0.0;  ///< pixel on the optical axis
-    int columns = 0, rows = 0;
-    /// Mounting of the camera. The frame of the rig is the frame of the log's LiDAR (its
-    /// first, or `--lidar`): x forward, y left, z up.
-    Pose rig_from_camera = {};
-
-    /// Returns the pixel (u, v) of a point, also outside the picture, or nothing for a
-    /// point that is not in front of the camera.
-    /// @param point_m [3] metres, frame of the camera
-    std::optional<glm::dvec2> project(const glm::dvec3& point_m) const;
-    /// Returns the unit vector from the camera through a pixel, in the frame of the camera.
-    glm::dvec3 direction_of(const glm::dvec2& pixel) const;
-    bool contains(const glm::dvec2& pixel) const;  ///< true if the pixel is in the picture
-};
-
 /// Returns the camera with a projection matrix of KITTI. The caller sets its size.
-/// @param projection  [3,4] row-major. A point p in the frame of the rectified camera 0 has
-/// the pixel projection * (p, 1).
+/// @param projection  [3,4] row-major. A point p in the frame of the rectified camera 0
+/// has the pixel projection * (p, 1).
 Camera make_camera(const std::string& name, const std::array<double, 12>& projection,
                    const Pose& rectified_from_rig);
 /// Returns camera 2 of KITTI (left colour camera, rectified) of 2011-09-26: 1242 x 375.

@@ -11,7 +11,6 @@
 
 #include <relidar/base/math.hpp>
 #include <relidar/log/body_table.hpp>
-#include <relidar/log/camera.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/conventions.hpp>
 #include <relidar/log/georeference.hpp>
@@ -148,6 +147,20 @@ struct Lidar {
     double sweep_period_s() const { return pattern ? scan_period_s(*pattern) : sensor.period_s; }
 };
 
+/// A pinhole camera without distortion: x right, y down, z forward. The centre of a pixel
+/// has integer coordinates.
+struct Camera {
+    std::string name;
+    double focal_x_px = 0.0, focal_y_px = 0.0, centre_x_px = 0.0, centre_y_px = 0.0;
+    int columns = 0, rows = 0;
+    Pose rig_from_camera = {};  ///< to the frame of the log's LiDAR: forward, left, up
+
+    /// Returns the pixel (u, v), also outside the picture; nothing if not in front.
+    std::optional<glm::dvec2> project(const glm::dvec3& point_m) const;
+    glm::dvec3 direction_of(const glm::dvec2& pixel) const;  ///< unit vector from the camera
+    bool contains(const glm::dvec2& pixel) const;
+};
+
 /// Sets the nominal sensor of a LiDAR, either its beams or its scan pattern.
 void set_sensor(Lidar& lidar, const SensorModel& sensor);
 /// Returns the nominal (ideal) sensor of a LiDAR. It has no beams if it is unknown.
@@ -245,8 +258,7 @@ struct Log {
     std::string name;
     std::string source;                                 ///< path of the log
     std::vector<Lidar> lidars = std::vector<Lidar>(1);  ///< LiDARs, at least one
-    /// Cameras whose calibration the log has. Their rig is the first LiDAR.
-    std::vector<Camera> cameras = {};
+    std::vector<Camera> cameras = {};                   ///< relative to the first LiDAR
     std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
     PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;

@@ -11,7 +11,6 @@
 
 #include <relidar/diff/network.hpp>
 #include <relidar/gpu/device.hpp>
-#include <relidar/log/camera.hpp>
 #include <relidar/log/channels.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>

@@ -142,12 +142,13 @@ const BoxTrack* find_box(const Log& log, const std::string& box_id) {
 Log strip_frames(const Log& log) {
     // Copies the other members one by one, because the scans can be gigabytes. The
     // binding needs all members, so without a new member it does not compile.
-    const auto& [name, source, lidars, frames, world_from_vehicle, boxes, world_offset_m, georeference,
-                 intensity_response, conventions, start_unix_ns, conventions_used, notes, test_frames,
-                 has_poses, rolling_shutter] = log;
+    const auto& [name, source, lidars, cameras, frames, world_from_vehicle, boxes, world_offset_m,
+                 georeference, intensity_response, conventions, start_unix_ns, conventions_used, notes,
+                 test_frames, has_poses, rolling_shutter] = log;
     return {.name = name,
             .source = source,
             .lidars = lidars,
+            .cameras = cameras,
             .frames = {},
             .world_from_vehicle = world_from_vehicle,
             .boxes = boxes,

@@ -108,8 +108,8 @@ Camera kitti_camera() {
     return camera;
 }
 
-// From the calibration of log n015-2018-07-24. In nuScenes' files, the LiDAR's x points to
-// the right and y forward.
+// From the calibration of log n015-2018-07-24. In nuScenes' files, the LiDAR's x points
+// to the right and y forward.
 Camera nuscenes_camera() {
     const Pose ego_from_camera{glm::normalize(glm::dquat(0.4998015, -0.5030316, 0.4997798, -0.4973737)),
                                {1.70079119, 0.01594563, 1.51095764}};

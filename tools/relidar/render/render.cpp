@@ -42,7 +42,9 @@ struct RenderOptions {
     TrajectoryOptions trajectory;
     std::string lidar;
     std::string sensor;
-    std::string vehicle_name;  ///< argument of --vehicle
+    std::string camera;                      ///< instead of a sensor
+    std::string vehicle_name;                ///< argument of --vehicle
+    std::optional<std::string> format_list;  ///< argument of --format
     std::string formats = "npz";
     std::string layout;  ///< empty: writes the files of `formats`
     std::optional<std::string> channels;
@@ -114,7 +116,12 @@ void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
 void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
     const std::vector<std::string> formats = parse_formats(options.formats);
     for (const std::string& format : formats)
-        if (ranks.size() > 1 && is_recording(format))
+        if (!options.camera.empty() && is_recording(format))
+            fail<UsageError>(
+                "--camera {}: found --format {}, which stores scans of LiDARs; expected png, npz, exr or "
+                "points",
+                options.camera, format);
+        else if (ranks.size() > 1 && is_recording(format))
             fail<UsageError>(
                 "--format {}: found {} MPI processes; expected one, because all scans are in one file",
                 format, ranks.size());
@@ -385,6 +392,7 @@ void run_render(const RenderOptions& command_options) {
     RenderOptions options = command_options;
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.select_device(options.device);
+    options.formats = options.format_list.value_or(options.camera.empty() ? "npz" : "png");
     const SensorRig rig = read_sensor_rig(options.sensor);
     options.vehicle = read_rig_vehicle(options.sensor);
     const bool uses_log_vehicle =
@@ -405,7 +413,9 @@ void run_render(const RenderOptions& command_options) {
     const int lidar = find_lidar(run.log, options.lidar);
     const auto sweeps = has_user_path ? sweeps_on_path(run, options, user_path, lidar)
                                       : sweeps_of_frames(run, options, lidar);
-    std::vector<RenderedSensor> sensors = list_sensors(options.sensor, rig, run, lidar);
+    std::vector<RenderedSensor> sensors = options.camera.empty()
+                                              ? list_sensors(options.sensor, rig, run, lidar)
+                                              : list_cameras(options.camera, run, lidar);
     if (uses_log_vehicle) add_log_body(sensors, run, lidar, offset);
     options.map = open_map(run.log, options.crs);
     options.time_shift_ns = largest_time_shift_ns(run, sensors, sweeps);
@@ -446,8 +456,9 @@ void run_render(const RenderOptions& command_options) {
 
 /// Adds the options that select the files to write and their content.
 void add_file_options(CLI::App& command, RenderOptions& options) {
-    add_option(command, "--format LIST", options.formats,
-               fmt::format("{}, separated by commas (default: npz)", fmt::join(scan_formats(), ", ")));
+    add_option(command, "--format LIST", options.format_list,
+               fmt::format("{}, separated by commas (default: npz, or png of a camera)",
+                           fmt::join(scan_formats(), ", ")));
     add_option(command, "--layout NAME", options.layout,
                fmt::format("add the scans and the boxes of all visible objects as a sequence to the data set "
                            "in DIR: {}; instead of --format",
@@ -492,6 +503,10 @@ void add_render(CLI::App& app, ParsedCommand& call) {
     add_option(*command, "--sensor NAME|FILE", options->sensor,
                "another sensor: native (the log's), one of `relidar list sensors`, or the file of a sensor "
                "or rig (see below)");
+    CLI::Option* camera = add_option(
+        *command, "--camera NAME|FILE", options->camera,
+        "pictures of a camera: one of the log, kitti, nuscenes, or a JSON file with K, size and mounting; "
+        "instead of --sensor");
     add_option(*command, "--vehicle log", options->vehicle_name,
                "also block another sensor where the vehicle or person that carried the log's LiDAR blocks "
                "that LiDAR; for sensors at about the same place")
@@ -513,6 +528,9 @@ void add_render(CLI::App& app, ParsedCommand& call) {
     add_weather_option(*command, options->weather,
                        "all scans; the random seed is the value of --sample, or 0 without it");
     add_file_options(*command, *options);
+    // Only LiDARs have these options.
+    for (const char* name : {"--sensor", "--layout", "--sample", "--weather", "--vehicle", "--merge"})
+        camera->excludes(command->get_option(name));
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     add_no_refine_option(*command, options->no_refine);
@@ -521,6 +539,7 @@ void add_render(CLI::App& app, ParsedCommand& call) {
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"
+                    "  relidar render run --out pictures --camera kitti\n"
                     "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
                     "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
                     "  mpirun -n 8 relidar render run --out scans --frames all");
