@@ -3,7 +3,9 @@
 poses, actors and sensors of the caller, and the lifetime of arrays."""
 import gc
 import json
+import struct
 import unittest
+import zlib
 
 import numpy as np
 
@@ -14,6 +16,33 @@ from common import FOLDER, TestCase, log, run, tool
 def present(loaded, time):
     """Returns the tracks of the actors that are present at a time."""
     return {name: track for name, track in loaded.actors.items() if track[0][0] <= time <= track[0][-1]}
+
+
+def read_png(path):
+    """Decodes a PNG file of 8-bit colours or 16-bit gray values."""
+    data, position, packed = path.read_bytes(), 8, b""
+    while position < len(data):
+        size, kind = struct.unpack(">I4s", data[position:position + 8])
+        chunk = data[position + 8:position + 8 + size]
+        if kind == b"IHDR":
+            columns, rows, bits, colours = struct.unpack(">IIBB", chunk[:10])
+        packed += chunk if kind == b"IDAT" else b""
+        position += size + 12
+    channels = {0: 1, 2: 3}[colours]
+    step = channels * bits // 8
+    lines = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(rows, 1 + columns * step)
+    pixels = np.zeros((rows + 1, columns + 1, step), int)   # a border of zeros above and to the left
+    for row, line in enumerate(lines):
+        values = line[1:].reshape(columns, step)
+        for column in range(columns):
+            a, b, c = pixels[row + 1, column], pixels[row, column + 1], pixels[row, column]
+            p = a + b - c
+            paeth = np.where((abs(p - a) <= abs(p - b)) & (abs(p - a) <= abs(p - c)), a,
+                             np.where(abs(p - b) <= abs(p - c), b, c))
+            predicted = (0 * a, a, b, (a + b) // 2, paeth)[line[0]]
+            pixels[row + 1, column + 1] = (values[column] + predicted) % 256
+    image = pixels[1:, 1:].astype(np.uint8)
+    return image if bits == 8 else np.ascontiguousarray(image).view(">u2")[..., 0].astype(np.uint16)
 
 
 class Render(TestCase):
@@ -33,6 +62,31 @@ class Render(TestCase):
                 # world frame. Positions therefore differ by 1e-9 m before they are
                 # rounded to float.
                 np.testing.assert_allclose(scan[name], written[name], rtol=1e-4, atol=1e-4, err_msg=name)
+
+    def test_cameras_are_those_of_the_tool(self):
+        """The tool writes PNG files, which this test decodes with zlib."""
+        camera = {"K": [[40, 0, 31.5], [0, 40, 15.5], [0, 0, 1]], "size": [64, 32], "yaw_pitch_roll_deg": [40, 5, 0]}
+        (FOLDER / "camera.json").write_text(json.dumps(camera))
+        number, time = run().frame_numbers[3], run().times[3]
+        tool("render", run().folder, "--out", FOLDER / "camera", "--frames", f"{number}:{number + 1}",
+             "--camera", FOLDER / "camera.json")
+        scan = run().render(time=time, camera=camera)
+        gray = read_png(FOLDER / "camera" / f"frame_{number:06}.png")
+        depth = read_png(FOLDER / "camera" / f"frame_{number:06}_depth.png")
+        self.assertEqual((gray.shape, depth.shape, depth.dtype), ((32, 64, 3), (32, 64), np.uint16))
+        np.testing.assert_allclose(gray[..., 0], scan["picture"], atol=1)
+        z = scan["points"][..., 2].astype(float) * (scan["drop_prob"] < 0.5)
+        # Both round; the poses of tool and module differ by 1e-9 m.
+        near = np.abs(depth - 256 * z) < 1
+        self.assertGreater(np.mean(near), 0.999)
+        self.assertGreater(np.mean(depth > 0), 0.2)
+        np.testing.assert_array_equal(scan["K"], camera["K"])
+        left = run().render(time=time, pose=run().trajectory[1][3] @ relidar.pose(0, 1, 0), camera=dict(camera, K=scan["K"]))
+        np.testing.assert_allclose(left["pose"][:3, 3] - scan["pose"][:3, 3], run().trajectory[1][3][:3, 1], atol=1e-6)
+        self.assert_fails(relidar.UsageError, "sensor and a camera", lambda: run().render("VLP-16", camera="kitti"))
+        self.assert_fails(relidar.UsageError, "random seed", lambda: run().render(camera=camera, sample=1))
+        self.assert_fails(relidar.UsageError, "'kiti' ... kitti", lambda: run().render(camera="kiti"))
+        self.assert_fails(relidar.DataError, "camera: size ... 1 number", lambda: run().render(camera=dict(camera, size=[1])))
 
     def test_boxes_count_the_points_of_their_actors(self):
         """Counts the points in each box. Also compares the boxes with those of the tool."""

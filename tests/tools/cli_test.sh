@@ -363,6 +363,19 @@ rendering() {
     bad 2 "--out theirs: .*rosbag.mcap.*scans.json" render run --out theirs --force
     check "--force changed a file that no scans.json lists" grep -qx mine theirs/rosbag.mcap
     bad 2 "recorded: .*\(3 " render run --out recorded --format mcap
+    echo '{"K": [40, 0, 31.5, 0, 40, 15.5, 0, 0, 1], "size": [64, 32]}' >camera.json
+    good render run --out pictures --frames 2:4 --camera camera.json
+    check "render wrote other than a picture and a depth per frame" test "$(ls pictures | wc -l)" = 5
+    check "scans.json has no camera" grep -q "\"K\"" pictures/scans.json
+    good render run --out pictures --frames 2:3 --camera camera.json --format npz,png --only background --force
+    check "render kept pictures of an earlier rendering" test "$(ls pictures | wc -l)" = 4
+    for option in "--sensor VLP-16" "--sample 1" "--weather fog=50" "--merge" "--vehicle log"; do
+        bad 2 "camera.*${option%% *}" render run --out x --camera camera.json $option
+    done
+    bad 2 "--camera camera.json: .*--format pcap" render run --out x --camera camera.json --format pcap
+    bad 2 "'kity'.*'kitti'" render run --out x --camera kity
+    echo '{"K": [40, 0, 31.5, 0, 40, 15.5, 0, 0, 1], "size": [64]}' >camera.json
+    bad 3 "camera.json: size: found 1" render run --out x --camera camera.json
     good render run --out drawn --frames 2:4 --sample 7
     bad 2 "--sample: .*2\^64" render run --out x --frames 2:4 --sample 18446744073709551616
     good render run --out drawn_again --frames 3:4 --sample 7

@@ -50,6 +50,11 @@ py::dict to_array_dict(Surfels&& surfels);
 /// length 1
 SimulatedSensor sensor_for_run(const py::handle& sensor_name_or_ray_dict, const Run& run, int lidar);
 
+/// Returns the camera that a Python argument describes.
+/// @param camera  a name or file of choose_camera(), or a dict with the keys of the file
+/// @param lidar  LiDAR of the log that is the rig
+Camera camera_for_run(const py::object& camera, const Run& run, int lidar);
+
 /// Returns the rays of a sensor as a dict of arrays: directions and origin
 /// [rows,columns,3] float32, time [rows,columns] float32, ring [rows,columns] uint16.
 py::dict to_array_dict(const RayTable& rays);

@@ -11,6 +11,7 @@
 #include <relidar/diff/rays.h>
 #include <relidar/scene/labels.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
+#include <relidar/simulate/camera.hpp>
 #include <relidar/simulate/device_points.hpp>
 #include <relidar/train/train.hpp>
 #include "arrays.hpp"
@@ -35,6 +36,7 @@ struct RenderArguments {
     bool deskew = false;
     std::string weather{};
     bool boxes = false;
+    py::object camera = py::none();
 };
 
 /// Checks that a track has poses around a time. At other times, the poses would be
@@ -90,7 +92,15 @@ ScanRequest make_request(const RenderArguments& arguments, const Run& run, int l
 /// head angles of the log's sweep.
 std::pair<ScanRequest, SimulatedSensor> prepare_scan(const RenderArguments& arguments, const Run& run) {
     const int lidar = find_lidar(run.log, arguments.lidar);
-    const ScanRequest request = make_request(arguments, run, lidar);
+    ScanRequest request = make_request(arguments, run, lidar);
+    if (!arguments.camera.is_none()) {
+        if (!arguments.sensor.is_none())
+            throw UsageError("render: found a sensor and a camera, expected one of them");
+        const Camera camera = camera_for_run(arguments.camera, run, lidar);
+        request.dataset_from_sensor =
+            mount_track(subdivide_turns(request.dataset_from_sensor), camera.rig_from_camera);
+        return {request, camera_sensor(camera, run.config, run.log, lidar)};
+    }
     SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
     if (arguments.pose.is_none())
         sensor = follow_sweep(sensor, run.log.frames, run.log.lidars, request.time_s);
@@ -266,6 +276,9 @@ constexpr const char* kHelpBeforeWeather =
     "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses [n,4,4]) that also "
     "cover the sweep, so that each ray is fired\n"
     "    from the position of the sensor at its firing time; None: the pose of the log's sensor\n"
+    "camera: instead of a sensor: a camera of the log by its name, \"kitti\", \"nuscenes\", a JSON file, or "
+    "a dict with the keys of this file; it is mounted on the\n"
+    "    sensor of `pose`\n"
     "time: time of the log in seconds at which the head faces forward, within the times of the poses; None: "
     "the time of the first frame.\n"
     "    Without `pose`, at the time of a frame, the log's sensor has the same head angles as in that sweep\n"
@@ -300,6 +313,8 @@ constexpr const char* kHelpAfterWeather =
     "str, is_static (1: part of the background) and is_discovered (1: moves and has no label) [n] int32,\n"
     "size_m [n,3], time_s [n], pose of the centre [n,4,4], velocity_mps [n,3] float64, points (first returns "
     "on it) [n] int32, visible_share [n].\n\n"
+    "With a camera, also picture uint8, depth uint16 (metres * 256, 0: no return) [rows,columns], and K "
+    "[3,3]; the frame of the sensor is x right, y down, z forward.\n\n"
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
     "unknown names and weather.";
 
@@ -325,16 +340,16 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
                std::optional<py::dict> actors, std::string lidar, std::vector<std::string> only,
                std::optional<IntegerArgument<std::uint64_t, "sample">> sample, std::string frame, bool deskew,
-               std::string weather, bool boxes) {
+               std::string weather, bool boxes, const py::object& camera) {
                 return render_scan(
                     run, {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only), sample,
-                          std::move(frame), deskew, std::move(weather), boxes});
+                          std::move(frame), deskew, std::move(weather), boxes, camera});
             },
             py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(),
             py::arg("time") = py::none(), py::arg("actors") = py::none(), py::arg("lidar") = "",
             py::arg("only") = std::vector<std::string>(), py::arg("sample") = py::none(),
             py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "",
-            py::arg("boxes") = false, render_help.c_str())
+            py::arg("boxes") = false, py::arg("camera") = py::none(), render_help.c_str())
         .def(
             "points",
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,

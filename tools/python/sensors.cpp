@@ -5,6 +5,7 @@
 
 #include <pybind11/stl.h>
 
+#include <relidar/log/camera.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
@@ -80,6 +81,17 @@ SimulatedSensor sensor_for_run(const py::handle& sensor, const Run& run, int lid
     simulated.name = "rays";
     simulated.lidar = lidar;
     return simulated;
+}
+
+Camera camera_for_run(const py::object& camera, const Run& run, int lidar) {
+    if (py::isinstance<py::str>(camera)) return choose_camera(camera.cast<std::string>(), run.log, lidar);
+    if (!py::isinstance<py::dict>(camera))
+        throw UsageError(
+            "camera: found an unsupported type, expected a name, the path of a JSON file, or a dict "
+            "with \"K\" and \"size\"");
+    const py::cpp_function to_list([](const py::object& array) { return array.attr("tolist")(); });
+    const py::object text = py::module_::import("json").attr("dumps")(camera, py::arg("default") = to_list);
+    return parse_camera(text.cast<std::string>(), "camera");
 }
 
 py::dict to_array_dict(const RayTable& rays) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pinhole cameras that a user can name.
+// Cameras that a user can name.
 #pragma once
 
 #include <array>

@@ -197,9 +197,11 @@ private:
 ///        [rows,columns,3];
 ///        unseen: RenderedScan::unseen_share, if it is known;
 ///        pose [4,4] world_from_sensor at time_s;
+///        of a camera: picture, depth (draw_depth()) [rows,columns] and the matrix K [3,3];
 ///        time_s, frame_number, frame, deskewed, sensor, run, units
 ///   exr  the images as float channels, metadata as string attributes
-///   png  range, intensity and drop probability as a single image, metadata as text
+///   png  range, intensity and drop probability as a single image, metadata as text; of a
+///        camera: draw_camera(), and frame_000123_depth.png has draw_depth()
 ///   ply, pcd, las, bin
 ///        points of returned rays (drop_prob < 0.5), as write_ply() describes; ply and
 ///        pcd also have ring, time, instance, the scan's channels and, with second

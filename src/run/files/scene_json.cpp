@@ -17,6 +17,7 @@
 #include "base/json_field.hpp"
 #include "log/frames/labelled_azimuth.hpp"
 #include "log/georeference/georeference_json.hpp"
+#include "log/sensor_files/camera_json.hpp"
 
 namespace relidar::files {
 namespace {
@@ -270,6 +271,7 @@ std::string format_scene(const Run& run) {
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
         json["intensity_response"] = {
             {"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
+    for (const Camera& camera : s.cameras) json["cameras"].push_back(camera_json(camera));
     if (s.georeference) json["georeference"] = georeference_json(*s.georeference);
     if (s.labelled_azimuth) json["labelled_azimuth_rad"] = azimuths_json(*s.labelled_azimuth);
     if (run.held_out_placed) json["held_out_placed"] = true;
@@ -294,6 +296,7 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
         log.start_unix_ns = root.at("start_unix_ns").integer_in(0, kLatestLogStart_ns);
     log.notes = root.at("notes").list([](const JsonField& note) { return Note(note.text()); });
     log.world_offset_m = root.at("world_offset_m").vector_in(-kMaxWorldOffset_m, kMaxWorldOffset_m);
+    if (root.has_member("cameras")) log.cameras = root.at("cameras").list(read_camera);
     if (root.has_member("georeference")) log.georeference = read_georeference(root.at("georeference"));
     if (root.has_member("labelled_azimuth_rad"))
         log.labelled_azimuth = read_azimuths(root.at("labelled_azimuth_rad"));

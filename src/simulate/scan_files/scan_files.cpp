@@ -9,6 +9,7 @@
 #include <relidar/log/log_time.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/scene/labels.hpp>
+#include <relidar/simulate/camera.hpp>
 #include <relidar/simulate/point_files.hpp>
 #include "log/georeference/georeference_json.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
@@ -24,11 +25,12 @@ using scan_files::ScanInOutputFrame;
 constexpr const char* kUnitsText = "metres, seconds; intensity and drop_prob 0 to 1";
 
 std::string describe_frame(const ScanOutputOptions& options) {
+    const char* axes = options.camera ? "x right, y down, z forward" : "x forward, y left, z up";
     if (options.frame == PointCoordinateFrame::world && options.map)
         return fmt::format("{}: x, y and height in metres", options.map->crs());
     if (options.frame == PointCoordinateFrame::world) return "world: the dataset's own";
-    return has_common_frame(options) ? "sensor at time_s: x forward, y left, z up"
-                                     : "sensor at each ray's firing time: x forward, y left, z up";
+    return fmt::format("sensor at {}: {}", has_common_frame(options) ? "time_s" : "each ray's firing time",
+                       axes);
 }
 
 /// Returns the texts that describe a scan in the headers of its files.
@@ -79,6 +81,26 @@ NamedArray position_array(const std::string& name, const RangeImage& image, cons
                       values.size());
 }
 
+/// Adds the pictures of a camera, and its matrix.
+void add_camera_arrays(std::vector<NamedArray>& arrays, const RenderedScan& scan, const Camera& camera) {
+    const Image picture = draw_camera(scan);
+    const std::size_t rows = std::size_t(picture.rows), columns = std::size_t(picture.columns);
+    NamedArray gray{"picture", "u1", {rows, columns}, {}};
+    for (std::size_t i = 0; i < picture.rgb.size(); i += 3) gray.bytes.push_back(std::byte(picture.rgb[i]));
+    const double k[] = {camera.focal_x_px,
+                        0.0,
+                        camera.centre_x_px,
+                        0.0,
+                        camera.focal_y_px,
+                        camera.centre_y_px,
+                        0.0,
+                        0.0,
+                        1.0};
+    arrays.push_back(std::move(gray));
+    arrays.push_back(image_array("depth", scan.image, draw_depth(scan).values));
+    arrays.push_back(make_array("K", {3, 3}, k, 9));
+}
+
 /// Returns copies of all arrays of an npz file, see make_scan_format_help().
 /// @param output_scan  not const, because it computes its rays at the first use
 std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
@@ -107,6 +129,7 @@ std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
         arrays.push_back(image_array(channel.name, image, values));
     });
     if (scan.unseen_share) arrays.push_back(make_array("unseen", {}, &*scan.unseen_share, 1));
+    if (format.camera) add_camera_arrays(arrays, scan, *format.camera);
     return arrays;
 }
 
@@ -160,7 +183,7 @@ void write_las_file(const fs::path& path, ScanInOutputFrame& scan) {
 }
 void write_bin_file(const fs::path& path, ScanInOutputFrame& scan) { write_kitti_bin(path, scan.points()); }
 void write_png_file(const fs::path& path, ScanInOutputFrame& scan) {
-    write_png(path, draw_scan(scan.scan), scan.notes);
+    write_png(path, scan.format.camera ? draw_camera(scan.scan) : draw_scan(scan.scan), scan.notes);
 }
 
 struct ScanFileFormat {
@@ -185,7 +208,9 @@ Metres, seconds.)",
 the log's time. With --crs it names the coordinate system; with --frame world, only if the
 axes of the dataset's world are those of the map of its georeference.)",
      write_las_file},
-    {"png", "pictures of range, intensity and drop_prob.", write_png_file}};
+    {"png", R"(pictures of range, intensity and drop_prob. Of a camera: its picture, and in
+frame_000123_depth.png the depth, metres * 256 as in KITTI.)",
+     write_png_file}};
 
 }  // namespace
 
@@ -265,6 +290,9 @@ void ScanFolderWriter::write_scan(int frame, const RenderedScan& scan) {
         if (std::ranges::find(format_.formats, format.name) == format_.formats.end()) continue;
         files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
         format.write(folder_ / files.back(), placed);
+        if (format.write != write_png_file || !format_.camera) continue;
+        files.push_back(fmt::format("frame_{:06}{}.png", frame, scan_files::kDepthEnding));
+        write_png(folder_ / files.back(), draw_depth(scan), placed.notes);
     }
     if (recordings_) recordings_->write_scans({&scan, 1});
     for (const ScanChannel& channel : scan.channels)

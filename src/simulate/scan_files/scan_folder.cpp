@@ -2,6 +2,7 @@
 // Writes the output folder of a rendering. Removes the files of an earlier rendering, and
 // writes the list of scans to scans.json.
 
+#include <cstring>
 #include <set>
 
 #include <fmt/format.h>
@@ -11,6 +12,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
 #include "base/fail.hpp"
+#include "log/sensor_files/camera_json.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_folder.hpp"
@@ -32,7 +34,10 @@ bool is_output_name(const fs::path& name) {
     if (name == kSummaryName || scan_files::PacketFileWriter::is_packet_file(name) ||
         std::ranges::any_of(scan_files::recording_formats(), is_named))
         return true;
-    const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
+    std::string stem = name.stem().string();
+    if (stem.ends_with(scan_files::kDepthEnding))
+        stem.resize(stem.size() - std::strlen(scan_files::kDepthEnding));
+    const std::string prefix = "frame_", extension = name.extension().string();
     const bool has_number = stem.starts_with(prefix) && stem.size() > prefix.size() &&
                             stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos;
     if (!has_number || extension.empty()) return false;
@@ -173,6 +178,7 @@ void ScanFolderWriter::write_summary() const {
         {"recordings", Json::array()},
         {"scans", Json::array()},
         {"settings", settings_json(config)}};
+    if (format_.camera) json["camera"] = camera_json(*format_.camera);
     if (format_.map) json["points"]["crs"] = format_.map->crs();
     if (format_.vehicle) {
         json["vehicle"] = Json::parse(format_.vehicle->json);

@@ -20,6 +20,7 @@ void remove_scans(const std::filesystem::path& folder);
 /// Writes scans.json for a folder with recordings but without single scans.
 void write_recordings(const std::filesystem::path& folder, const std::vector<std::string>& names);
 
+inline constexpr const char* kDepthEnding = "_depth";  ///< end of the stem of a camera's depth file
 inline constexpr const char* kPacketFormat = "pcap";
 inline constexpr const char* kPacketHelp =
     R"(DIR/packets.pcap, the packets that the sensor sends, with its rounding and timing; with

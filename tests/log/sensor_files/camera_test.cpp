@@ -40,8 +40,8 @@ TEST(CameraGeometry, ProjectionInvertsTheRays) {
     EXPECT_FALSE(camera.contains({-0.6, 0.0}));
 }
 
-// The products P2 * R0_rect * Tr_velo_to_cam of KITTI's files of 2011-09-26 and the
-// point, computed with numpy.
+// Pixels are P2 * R0_rect * Tr_velo_to_cam * point, with KITTI's files of 2011-09-26,
+// computed with numpy.
 TEST(CameraGeometry, KittiProjectsAsItsCalibrationFiles) {
     const Camera camera = kitti_camera();
     const auto pixel_of = [&](const glm::dvec3& velodyne_m) {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <filesystem>
 
+#include <relidar/log/camera.hpp>
 #include <relidar/run/run.hpp>
 
 namespace relidar {
@@ -60,6 +61,7 @@ inline Run make_example_run(const std::filesystem::path& folder) {
                       "EPSG:32632",
                       make_example_pose(1.0).rotation};
     s.rolling_shutter = false;
+    s.cameras = {kitti_camera()};
     s.lidars[0].sensor = {
         "sensor",
         {{0.1, 0.0, 0.0, 0.2, 0.01, 1.1, -0.03, 0.02}, {-0.1 / 3.0, 1e-3, 0.0, 0.12, 0.0, 0.9, 0.03, -0.02}},

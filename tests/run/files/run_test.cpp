@@ -189,6 +189,11 @@ TEST_F(RunFolder, RoundTripsExactly) {
     ASSERT_TRUE(a.georeference && b.georeference);
     EXPECT_TRUE(members(*a.georeference) == members(*b.georeference));
     EXPECT_EQ(a.rolling_shutter, b.rolling_shutter);
+    ASSERT_EQ(a.cameras.size(), 1u);
+    EXPECT_EQ(a.cameras[0].name, "kitti");
+    EXPECT_EQ(a.cameras[0].centre_x_px, b.cameras[0].centre_x_px);
+    EXPECT_EQ(a.cameras[0].rows, b.cameras[0].rows);
+    expect_equal(a.cameras[0].rig_from_camera, b.cameras[0].rig_from_camera);
     ASSERT_EQ(a.frames.size(), b.frames.size());
     for (std::size_t i = 0; i < a.frames.size(); ++i) {
         EXPECT_EQ(a.frames[i].index, b.frames[i].index);

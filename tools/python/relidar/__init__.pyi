@@ -112,7 +112,7 @@ class Run:
     def render(
         self, sensor: _Sensor = None, *, pose: _Pose | None = None, time: float | None = None, actors: _Actors = None, lidar: str = "",
         only: Sequence[str] = [], sample: int | None = None, frame: str = "sensor", deskew: bool = False, weather: str = "",
-        boxes: bool = False
+        boxes: bool = False, camera: str | Mapping[str, Any] | None = None
     ) -> _Arrays: ...
     def points(
         self, sensor: _Sensor = None, *, pose: _Pose | None = None, time: float | None = None, actors: _Actors = None, lidar: str = "",

@@ -152,10 +152,12 @@ Json summary_json(const std::optional<Georeference>& place) {
 
 /// Returns the summary of a log for `relidar info --json`.
 Json summary_json(const LogSummary& summary) {
-    Json boxes = Json::array(), lidars = Json::array();
+    Json boxes = Json::array(), lidars = Json::array(), cameras = Json::array();
     for (const BoxSummary& box : summary.boxes) boxes.push_back(summary_json(box));
     for (const LidarSummary& lidar : summary.lidars) lidars.push_back(summary_json(lidar));
     const Log& log = summary.log;
+    for (const Camera& camera : log.cameras)
+        cameras.push_back({{"name", camera.name}, {"columns", camera.columns}, {"rows", camera.rows}});
     Json conventions = Json::array();
     for (const UsedConvention& used : log.conventions_used)
         conventions.push_back(
@@ -166,6 +168,7 @@ Json summary_json(const LogSummary& summary) {
                  {"conventions_used", conventions},
                  {"notes", summary.notes},
                  {"lidars", lidars},
+                 {"cameras", cameras},
                  {"rolling_shutter", log.rolling_shutter},
                  {"frames", log.frames.size()},
                  {"first_frame", log.frames.front().index},
@@ -275,6 +278,11 @@ std::string describe_place(const std::optional<Georeference>& place) {
         turn_deg > 0.0 ? fmt::format(", turned by {:.2f} degrees", turn_deg) : "");
 }
 
+double view_angle_deg(const Camera& camera) {
+    const double left_px = camera.centre_x_px + 0.5, right_px = camera.columns - left_px;
+    return (std::atan(left_px / camera.focal_x_px) + std::atan(right_px / camera.focal_x_px)) * 180.0 / kPi;
+}
+
 /// Returns the summary of a log as lines "name  value", followed by the table of boxes.
 std::string summary_text(const LogSummary& summary, bool show_instance_columns) {
     const Log& log = summary.log;
@@ -284,6 +292,9 @@ std::string summary_text(const LogSummary& summary, bool show_instance_columns) 
     const char* shutter = log.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
     for (const LidarSummary& lidar : summary.lidars)
         text += format_line("sensor", summary_text(lidar) + shutter);
+    for (const Camera& camera : log.cameras)
+        text += format_line("camera", fmt::format("{}: {} x {}, {:.1f} degrees wide", camera.name,
+                                                  camera.columns, camera.rows, view_angle_deg(camera)));
     text += format_line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.frames.size(),
                                               log.frames.front().index, log.frames.back().index,
                                               duration_s(log), summary.path_m));

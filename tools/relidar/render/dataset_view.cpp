@@ -40,9 +40,11 @@ DatasetFov parse_fov(const std::string& name, const std::string& layout) {
 void add_view_options(CLI::App& command, DatasetViewOptions& options) {
     add_option(
         command, "--camera NAME|FILE", options.camera,
-        "camera of --layout kitti and nuscenes, mounted on the sensor or rig: kitti, nuscenes, a camera "
-        "of the log, or a JSON file; none: black pictures, which cost no time (default: the front "
-        "camera of the log, or that of the layout)");
+        "pictures of a camera instead of a sensor: one of the log, kitti, nuscenes, or a JSON file with K, "
+        "size and mounting. With --layout kitti or nuscenes: the camera of the data set, mounted on the "
+        "sensor "
+        "or rig; none: black pictures, which cost no time (default: the front camera of the log, or that of "
+        "the layout)");
     add_option(command, "--fov WHAT", options.fov,
                "points and boxes of --layout: all; camera, those in the picture; labels, where the log has "
                "labels for all objects (default: camera for kitti, otherwise all)")
@@ -54,10 +56,10 @@ void add_view_options(CLI::App& command, DatasetViewOptions& options) {
 }
 
 void check_view_options(const DatasetViewOptions& options, const std::string& layout) {
-    if (layout.empty() && !(options.camera.empty() && options.fov.empty() && options.classes.empty()))
-        fail<UsageError>("found --camera, --fov or --classes without --layout, expected --layout, too");
+    if (layout.empty() && !(options.fov.empty() && options.classes.empty()))
+        fail<UsageError>("found --fov or --classes without --layout, expected --layout, too");
     if (!options.classes.empty()) (void)read_class_names(options.classes);  // for its errors
-    if (!options.camera.empty() && !find_layout_camera(layout) && options.fov != "camera")
+    if (!layout.empty() && !options.camera.empty() && !find_layout_camera(layout) && options.fov != "camera")
         fail<UsageError>("--camera {}: the layout {} has no pictures", options.camera, layout);
 }
 

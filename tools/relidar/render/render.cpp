@@ -70,8 +70,24 @@ struct RenderOptions {
     std::optional<double> base_link_height_m = {};  ///< computed from the run
 };
 
+/// Returns true if a camera replaces the sensors.
+bool is_camera(const RenderOptions& options) {
+    return options.layout.empty() && !options.view.camera.empty();
+}
+
 std::vector<std::string> formats_of(const RenderOptions& options) {
-    return parse_formats(options.formats.value_or("npz"));
+    return parse_formats(options.formats.value_or(is_camera(options) ? "png" : "npz"));
+}
+
+/// Rejects options that only LiDARs have.
+void check_camera(const RenderOptions& options) {
+    const bool has_lidar_option = !options.sensor.empty() || options.sample || !options.weather.empty() ||
+                                  !options.vehicle_name.empty() || options.merge;
+    if (is_camera(options) && has_lidar_option)
+        fail<UsageError>(
+            "--camera {}: found --sensor, --sample, --weather, --vehicle or --merge, which need a LiDAR; "
+            "expected --layout, or none of these",
+            options.view.camera);
 }
 
 /// Returns how the scans of a sensor are written: formats, frames of reference and names.
@@ -106,6 +122,7 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
 /// Rejects options that a layout decides itself.
 void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
     check_view_options(options.view, options.layout);
+    check_camera(options);
     if (options.layout.empty()) return;
     check_dataset_folder(options.out, options.layout);
     if (ranks.size() > 1)
@@ -123,7 +140,12 @@ void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
 void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
     const std::vector<std::string> formats = formats_of(options);
     for (const std::string& format : formats)
-        if (ranks.size() > 1 && is_recording(format))
+        if (is_camera(options) && is_recording(format))
+            fail<UsageError>(
+                "--camera {}: found --format {}, which stores scans of LiDARs; expected png, npz, exr or "
+                "points",
+                options.view.camera, format);
+        else if (ranks.size() > 1 && is_recording(format))
             fail<UsageError>(
                 "--format {}: found {} MPI processes; expected one, because all scans are in one file",
                 format, ranks.size());
@@ -404,7 +426,8 @@ void run_render(const RenderOptions& command_options) {
     const int lidar = find_lidar(run.log, options.lidar);
     const auto sweeps = has_user_path ? sweeps_on_path(run, options, user_path, lidar)
                                       : sweeps_of_frames(run, options.frames, lidar, options.quiet);
-    std::vector<RenderedSensor> sensors = list_sensors(options.sensor, rig, run, lidar);
+    std::vector<RenderedSensor> sensors = is_camera(options) ? list_cameras(options.view.camera, run, lidar)
+                                                             : list_sensors(options.sensor, rig, run, lidar);
     if (uses_log_vehicle) add_log_body(sensors, run, lidar, offset);
     options.map = open_map(run.log, options.crs);
     options.time_shift_ns = largest_time_shift_ns(run, sensors, sweeps);
@@ -454,7 +477,8 @@ void run_render(const RenderOptions& command_options) {
 /// Adds the options that select the files to write and their content.
 void add_file_options(CLI::App& command, RenderOptions& options) {
     add_option(command, "--format LIST", options.formats,
-               fmt::format("{}, separated by commas (default: npz)", fmt::join(scan_formats(), ", ")));
+               fmt::format("{}, separated by commas (default: npz, or png of a camera)",
+                           fmt::join(scan_formats(), ", ")));
     add_option(command, "--layout NAME", options.layout,
                fmt::format("add the scans and the boxes of all visible objects as a sequence to the data set "
                            "in DIR: {}; instead of --format",
@@ -529,6 +553,7 @@ void add_render(CLI::App& app, ParsedCommand& call) {
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"
+                    "  relidar render run --out pictures --camera kitti\n"
                     "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
                     "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
                     "  mpirun -n 8 relidar render run --out scans --frames all");

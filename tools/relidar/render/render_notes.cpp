@@ -16,6 +16,7 @@
 namespace relidar::cli {
 
 void note_sensor(const Run& run, const ScanRenderer& renderer, const SimulatedSensor& sensor) {
+    if (sensor.camera) return;
     if (run.config.sensor.rolling_shutter == RollingShutter::automatic && !is_rolling(sensor, run.config))
         print_note(fmt::format(
             "scans of {} are motion-compensated like the log, without --set sensor.rolling_shutter=true",

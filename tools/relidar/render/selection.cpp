@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include <relidar/simulate/camera.hpp>
 #include <relidar/simulate/log_body.hpp>
 #include "base/fail.hpp"
 #include "console.hpp"
@@ -99,6 +100,12 @@ std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRi
                            .mounting = mounted.rig_from_sensor,
                            .spinning = as_spinning(mounted.sensor)});
     return sensors;
+}
+
+std::vector<RenderedSensor> list_cameras(const std::string& name, const Run& run, int lidar) {
+    const Camera camera = choose_camera(name, run.log, lidar);
+    return {
+        {.sensor = camera_sensor(camera, run.config, run.log, lidar), .mounting = camera.rig_from_camera}};
 }
 
 void add_log_body(std::vector<RenderedSensor>& sensors, const Run& run, int lidar, const Pose& offset) {

@@ -48,6 +48,9 @@ using SensorRig = std::optional<std::vector<MountedSensor>>;
 std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRig& rig, const Run& run,
                                          int lidar);
 
+/// Returns a camera by the name or file of choose_camera(), as the only sensor.
+std::vector<RenderedSensor> list_cameras(const std::string& name, const Run& run, int lidar);
+
 /// Lets what blocks the log's LiDAR block the other sensors, too. Prints a note for a
 /// sensor at another place.
 /// @param offset  pose of the rig or the sensor in the frame of the log's LiDAR

@@ -11,6 +11,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/log/camera.hpp>
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
@@ -100,6 +101,7 @@ Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
         "log. At the time of a frame, the head faces forward. The log has poses from {}. Scans are not "
         "motion-compensated. Boxes are labelled only in the view of the front camera.",
         options.poses_file.empty() ? "OXTS (Mercator)" : options.poses_file.string());
+    log.cameras = read_cameras(drive);
     note_missing_scans(log, points / "data", frames, options.allow_missing_scans);
     if (!does_path_exist(drive / "tracklet_labels.xml"))
         log.notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");

@@ -7,10 +7,13 @@
 #include "read/datasets/kitti/log_files.hpp"
 #include "read/scans/pose_files.hpp"
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 
 #include <fmt/format.h>
 
+#include <relidar/log/camera.hpp>
 #include <relidar/read/clouds.hpp>
 #include <relidar/read/dataset.hpp>
 #include "base/files.hpp"
@@ -86,25 +89,70 @@ std::vector<double> read_first_oxts(const fs::path& drive) {
         folder.string());
 }
 
-/// Returns the path of calib_imu_to_velo.txt for a drive. Users unpack KITTI's
-/// calibration archive in different places. Searches the drive, the two folders above it,
-/// and usual folders of calibration files in them.
-fs::path find_imu_file(const fs::path& drive) {
-    const char* name = "calib_imu_to_velo.txt";
+/// Returns the path of a calibration file of a drive, or an empty path. Users unpack
+/// KITTI's calibration archive in different places. Searches the drive, the two folders
+/// above it, and usual folders of calibration files in them.
+fs::path find_calibration(const fs::path& drive, const char* name) {
     // the first ten characters of a name such as 2011_09_26_drive_0005_sync
     const std::string date = drive.filename().string().substr(0, 10), archive = date + "_calib";
     const fs::path subfolders[] = {"", "calib", "calibration", date, archive, fs::path(archive) / date};
     for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()})
         for (const fs::path& subfolder : subfolders)
             if (does_path_exist(base / subfolder / name)) return base / subfolder / name;
+    return {};
+}
+
+fs::path find_imu_file(const fs::path& drive) {
+    const char* name = "calib_imu_to_velo.txt";
+    if (const fs::path file = find_calibration(drive, name); !file.empty()) return file;
     fail(
         "{}: no such file, and it was not found in the folder of the drive or in a folder calib, calibration "
         "or {}_calib either; copy KITTI's calibration file of that day to this path, or use "
         "dataset.poses=FILE",
-        (drive.parent_path() / name).string(), date);
+        (drive.parent_path() / name).string(), drive.filename().string().substr(0, 10));
+}
+
+/// Returns the numbers of a line "key: numbers", or no numbers without this line.
+std::vector<double> read_numbers(const fs::path& file, const std::string& key, std::size_t count) {
+    for (const std::string& line : split_lines(read_text_file(file)))
+        if (line.starts_with(key + ":"))
+            return read::parse_finite(line.substr(key.size() + 1), count,
+                                      fmt::format("{} key {}", file.string(), key));
+    return {};
 }
 
 }  // namespace
+
+std::vector<Camera> read_cameras(const fs::path& drive) {
+    constexpr double kMaxSide_px = 16384.0;
+    const fs::path file = find_calibration(drive, "calib_cam_to_cam.txt"),
+                   lidar_file = find_calibration(drive, "calib_velo_to_cam.txt");
+    if (file.empty() || lidar_file.empty()) return {};
+    const std::vector<double> r = read_numbers(file, "R_rect_00", 9);
+    if (r.empty()) return {};
+    const glm::dmat3 rectified_from_cam0(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]);
+    const Pose rectified_from_lidar =
+        make_pose(rectified_from_cam0, {}, file.string() + " key R_rect_00") * read_calibration(lidar_file);
+    std::vector<Camera> cameras;
+    for (int number = 0; number < 4; ++number) {
+        const std::vector<double> p = read_numbers(file, fmt::format("P_rect_0{}", number), 12),
+                                  size = read_numbers(file, fmt::format("S_rect_0{}", number), 2);
+        if (p.empty() || size.empty()) continue;
+        if (!(p[0] > 0.0 && p[5] > 0.0) || std::ranges::min(size) < 1.0 ||
+            std::ranges::max(size) > kMaxSide_px)
+            fail(
+                "{}: camera {}: found focal lengths of {} and {} and {} x {} pixels, expected numbers above "
+                "0",
+                file.string(), number, p[0], p[5], size[0], size[1]);
+        std::array<double, 12> projection;
+        std::ranges::copy(p, projection.begin());
+        Camera camera = make_camera(fmt::format("image_{}", number), projection, rectified_from_lidar);
+        camera.columns = int(size[0]);
+        camera.rows = int(size[1]);
+        cameras.push_back(camera);
+    }
+    return cameras;
+}
 
 Pose read_calibration(const fs::path& file) {
     std::vector<double> r, t;

@@ -18,6 +18,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
+#include <relidar/log/camera.hpp>
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"

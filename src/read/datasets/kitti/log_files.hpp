@@ -56,6 +56,11 @@ Pose read_calibration(const std::filesystem::path& file);
 /// numbers are a 3x4 matrix, row-major.
 Pose read_transform(const std::filesystem::path& file, const std::string& key);
 
+/// Returns the rectified cameras image_0 to image_3 of a drive, without those that its
+/// calibration lacks. Their rig is the LiDAR.
+/// @throws DataError if a file of the calibration is invalid
+std::vector<Camera> read_cameras(const std::filesystem::path& drive);
+
 /// Computes the LiDAR poses from GPS/IMU data (OXTS). Uses the Mercator projection at the
 /// latitude of the first frame of the log, with x to the east and y to the north. The
 /// origin of the world frame is the IMU in that frame.

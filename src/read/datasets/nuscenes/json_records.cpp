@@ -71,6 +71,18 @@ glm::dvec3 JsonRecord::vec3(std::string_view key) const {
     return v;
 }
 
+std::vector<double> JsonRecord::matrix_or_empty(std::string_view key) const {
+    std::vector<double> numbers;
+    simdjson::dom::array rows, row;
+    if (object_[key].get(rows) != simdjson::SUCCESS) return {};
+    for (const simdjson::dom::element element : rows) {
+        if (element.get(row) != simdjson::SUCCESS || row.size() != 3) return {};
+        for (const simdjson::dom::element value : row)
+            if (value.get(numbers.emplace_back()) != simdjson::SUCCESS) return {};
+    }
+    return numbers.size() == 9 ? numbers : std::vector<double>{};
+}
+
 glm::dquat JsonRecord::unit_quaternion(std::string_view key) const {
     double q[4];
     copy_numbers(key, 4, q);

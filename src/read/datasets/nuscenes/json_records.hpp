@@ -8,6 +8,7 @@
 #include <functional>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include <simdjson.h>
 
@@ -29,6 +30,9 @@ public:
     std::int64_t rounded_integer(std::string_view key) const;
     bool boolean(std::string_view key) const;
     glm::dvec3 vec3(std::string_view key) const;
+    /// Returns three lists of three numbers, row by row. Returns no numbers for any other
+    /// value.
+    std::vector<double> matrix_or_empty(std::string_view key) const;
     /// stored as w, x, y, z
     glm::dquat unit_quaternion(std::string_view key) const;
     Pose read_pose() const { return {unit_quaternion("rotation"), vec3("translation")}; }

@@ -200,6 +200,10 @@ public:
             format_.conventions);
         set_log_start(log_, 1000 * scene_.lidars[0].sweeps[0].time_us, "on the clock of the dataset");
         select_lidars();
+        log_.cameras = scene_.cameras;
+        for (Camera& camera : log_.cameras)
+            camera.rig_from_camera =
+                inverse(log_.lidars.front().vehicle_from_sensor) * camera.rig_from_camera;
         select_sweeps();
         for (const FrameSweepRecord& frame : frames_) {
             const std::size_t k = std::size_t(frame.number);

@@ -24,6 +24,7 @@ template <class T>
 using TokenMap = std::unordered_map<std::string, T>;
 
 constexpr std::string_view kLidarPrefix = "LIDAR_";  // prefix of LiDAR channels
+constexpr std::string_view kCameraPrefix = "CAM_";
 constexpr const char* kFirstChannel = "LIDAR_TOP";
 
 /// Returns the times of a scene's keyframes in microseconds, by token (id). The dataset
@@ -42,22 +43,36 @@ struct LidarMount {
     Pose ego_from_lidar;
 };
 
+/// Mountings by the token (id) of the calibration, to which the files refer.
+struct SensorMounts {
+    TokenMap<LidarMount> lidars;
+    TokenMap<Camera> cameras;  ///< rows and columns are 0
+};
+
 /// Returns the channel (table sensor) and the pose (table calibrated_sensor) of each
-/// LiDAR, by the token (id) of its calibration, to which the sweeps refer.
-TokenMap<LidarMount> read_lidar_mounts(const fs::path& table_folder) {
+/// LiDAR, and the cameras.
+SensorMounts read_mounts(const fs::path& table_folder) {
     TokenMap<std::string> channels;
+    bool has_lidar = false;
     for_each_record(table_folder / "sensor.json", [&](const JsonRecord& record) {
         const std::string channel = record.read_text("channel");
-        if (channel.starts_with(kLidarPrefix)) channels[record.read_text("token")] = channel;
+        has_lidar = has_lidar || channel.starts_with(kLidarPrefix);
+        if (channel.starts_with(kLidarPrefix) || channel.starts_with(kCameraPrefix))
+            channels[record.read_text("token")] = channel;
     });
-    if (channels.empty())
+    if (!has_lidar)
         fail("{}, key 'channel': found no channel that begins with {}, expected at least one LiDAR",
              (table_folder / "sensor.json").string(), kLidarPrefix);
-    TokenMap<LidarMount> mounted;
+    SensorMounts mounted;
     for_each_record(table_folder / "calibrated_sensor.json", [&](const JsonRecord& record) {
         const auto channel = channels.find(record.read_text("sensor_token"));
-        if (channel != channels.end())
-            mounted[record.read_text("token")] = {channel->second, record.read_pose()};
+        if (channel == channels.end()) return;
+        const std::string token = record.read_text("token");
+        if (channel->second.starts_with(kLidarPrefix))
+            mounted.lidars[token] = {channel->second, record.read_pose()};
+        else if (const auto k = record.matrix_or_empty("camera_intrinsic");
+                 !k.empty() && k[0] > 0.0 && k[4] > 0.0)
+            mounted.cameras[token] = {channel->second, k[0], k[4], k[2], k[5], 0, 0, record.read_pose()};
     });
     return mounted;
 }
@@ -66,20 +81,28 @@ using SweepsByChannel = std::map<std::string, TokenMap<SweepRecord>>;  // files 
 
 /// Returns the LiDAR files of a scene, by channel (name of the LiDAR). A file belongs to
 /// the scene if the keyframe that it refers to does.
+/// Also sets the sizes of the pictures of cameras in the scene.
 /// @param keyframe_times_us  keyframes of the scene, by token
-/// @param mounted_lidars  LiDARs, by the token of their calibration
 SweepsByChannel list_lidar_files(const fs::path& table_folder,
-                                 const TokenMap<std::int64_t>& keyframe_times_us,
-                                 const TokenMap<LidarMount>& mounted_lidars) {
+                                 const TokenMap<std::int64_t>& keyframe_times_us, SensorMounts& mounted) {
     SweepsByChannel files;
     for_each_record(table_folder / "sample_data.json", [&](const JsonRecord& record) {
         SweepRecord file;
         file.calibration = record.read_text("calibrated_sensor_token");
-        // The table also lists files of cameras, radars and other scenes.
-        const auto lidar = mounted_lidars.find(file.calibration);
-        if (lidar == mounted_lidars.end()) return;
+        // The table also lists files of radars and other scenes.
+        const auto lidar = mounted.lidars.find(file.calibration);
+        const auto camera = mounted.cameras.find(file.calibration);
+        if (lidar == mounted.lidars.end() && camera == mounted.cameras.end()) return;
         file.sample = record.read_text("sample_token");
         if (!keyframe_times_us.contains(file.sample)) return;
+        if (camera != mounted.cameras.end()) {
+            constexpr std::int64_t kMaxSide_px = 16384;
+            camera->second.columns =
+                int(std::clamp<std::int64_t>(record.rounded_integer("width"), 0, kMaxSide_px));
+            camera->second.rows =
+                int(std::clamp<std::int64_t>(record.rounded_integer("height"), 0, kMaxSide_px));
+            return;
+        }
         file.token = record.read_text("token");
         file.next = record.read_text("next");
         file.ego_pose = record.read_text("ego_pose_token");
@@ -114,15 +137,15 @@ std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder, const TokenMa
     return sweeps;
 }
 
-/// Returns the LiDARs with at least one keyframe in the scene. LIDAR_TOP is first. The
-/// pose on the vehicle is that of the first sweep.
-std::vector<SceneLidar> read_scene_lidars(const fs::path& folder, const TokenMap<std::int64_t>& times_us) {
-    const TokenMap<LidarMount> mounted = read_lidar_mounts(folder);
-    std::vector<SceneLidar> lidars;
+/// Reads the LiDARs with at least one keyframe in the scene, and its cameras. LIDAR_TOP
+/// is first. The pose on the vehicle is that of the first sweep.
+void read_scene_sensors(const fs::path& folder, const TokenMap<std::int64_t>& times_us, SceneTables& scene) {
+    SensorMounts mounted = read_mounts(folder);
+    std::vector<SceneLidar>& lidars = scene.lidars;
     for (const auto& [channel, files] : list_lidar_files(folder, times_us, mounted)) {
         SceneLidar lidar{.channel = channel, .ego_from_lidar = {}, .sweeps = sort_sweeps(folder, files)};
         if (lidar.sweeps.empty()) continue;
-        lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
+        lidar.ego_from_lidar = mounted.lidars.at(lidar.sweeps[0].calibration).ego_from_lidar;
         lidars.push_back(std::move(lidar));
     }
     if (lidars.empty())
@@ -130,7 +153,9 @@ std::vector<SceneLidar> read_scene_lidars(const fs::path& folder, const TokenMap
              (folder / "sample_data.json").string());
     std::stable_partition(lidars.begin(), lidars.end(),
                           [](const SceneLidar& lidar) { return lidar.channel == kFirstChannel; });
-    return lidars;
+    for (const auto& [token, camera] : mounted.cameras)
+        if (camera.columns > 0 && camera.rows > 0) scene.cameras.push_back(camera);
+    std::ranges::sort(scene.cameras, {}, &Camera::name);
 }
 
 /// Reads the poses that the sweeps refer to, by time.
@@ -270,7 +295,7 @@ SceneTables read_scene(const fs::path& table_folder, const std::string& scene_na
         });
     // The keyframes select the LiDAR files and labels that belong to the scene.
     const TokenMap<std::int64_t> samples = read_keyframes(table_folder, scene_token);
-    scene.lidars = read_scene_lidars(table_folder, samples);
+    read_scene_sensors(table_folder, samples, scene);
     scene.world_from_ego = read_ego_poses(table_folder, scene.lidars[0].sweeps);
     scene.labels = read_scene_labels(table_folder, scene, samples);
     read_lidarseg(table_folder, scene);

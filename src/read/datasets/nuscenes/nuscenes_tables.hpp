@@ -38,6 +38,8 @@ struct SceneTables {
     /// LIDAR_TOP first, others by name. The sweeps of the first LiDAR define the frame
     /// numbers.
     std::vector<SceneLidar> lidars;
+    /// Cameras with pictures in the scene, by name. Their rig is the vehicle.
+    std::vector<Camera> cameras;
     std::vector<Pose> world_from_ego;  ///< vehicle poses at the times of the first LiDAR's sweeps
     /// labels of keyframes in the world frame; seconds after the first sweep
     std::vector<BoxLabel> labels;

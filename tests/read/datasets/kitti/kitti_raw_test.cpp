@@ -231,6 +231,32 @@ TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {
     }
 }
 
+/// The camera looks along the x axis of the LiDAR and is 6 cm to the left of camera 0.
+TEST(KittiRaw, CamerasAreThoseOfItsCalibration) {
+    const KittiDrive drive("cameras");
+    EXPECT_TRUE(drive.load().cameras.empty());
+    const auto write = [&](const std::string& p2) {
+        test::write_text(drive.file("../calib_velo_to_cam.txt"),
+                         "calib_time: 15-Mar-2012 11:37:16\nR: 0 -1 0 0 0 -1 1 0 0\nT: 0 -0.08 -0.27\n");
+        test::write_text(
+            drive.file("../calib_cam_to_cam.txt"),
+            "calib_time: 09-Jan-2012 13:57:47\nS_rect_02: 1.242e+03 375\nR_rect_00: 1 0 0 0 1 0 0 0 1\n" +
+                p2);
+    };
+    write("P_rect_02: 700 0 600 42 0 710 170 0 0 0 1 0\n");
+    const Log log = drive.load();
+    ASSERT_EQ(log.cameras.size(), 1u);
+    const Camera& camera = log.cameras[0];
+    EXPECT_EQ(camera.name, "image_2");
+    EXPECT_EQ(camera.columns, 1242);
+    EXPECT_EQ(camera.rows, 375);
+    EXPECT_LT(glm::distance(camera.rig_from_camera.translation, glm::dvec3(0.27, 0.06, -0.08)), 1e-12);
+    const glm::dvec3 in_camera_m = inverse(camera.rig_from_camera) * glm::dvec3(10.27, 1.06, 0.92);
+    EXPECT_LT(glm::distance(*camera.project(in_camera_m), glm::dvec2(530.0, 99.0)), 1e-9);
+    write("P_rect_02: 0 0 600 42 0 710 170 0 0 0 1 0\n");
+    drive.expect_error("calib_cam_to_cam.txt ... camera 2 ... 0 ... 710");
+}
+
 TEST(KittiRaw, WithoutPosesAndTracklets) {
     const KittiDrive drive("no_poses");
     const Log original = drive.load();

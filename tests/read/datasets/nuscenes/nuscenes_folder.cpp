@@ -91,15 +91,17 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
                     R"("token": "s1", "name": "scene-0103", "first_sample_token": "k0")"});
     write("sample", {sample_of("k1", "s1", 10), sample_of("k0", "s1", 0), sample_of("k9", "s0", 0)});
     write("sensor", {R"("token": "c", "channel": "CAM_FRONT")", R"("token": "l", "channel": "LIDAR_TOP")"});
-    write("calibrated_sensor", {R"("token": "mount", "sensor_token": "l", )" + format_pose_keys(mounted()),
-                                R"("token": "camera", "sensor_token": "c", )" + format_pose_keys(Pose{})});
+    write("calibrated_sensor",
+          {R"("token": "mount", "sensor_token": "l", )" + format_pose_keys(mounted()),
+           R"("token": "camera", "sensor_token": "c", )" + format_pose_keys(Pose{}) +
+               R"(, "camera_intrinsic": [[1266.4, 0, 816.3], [0, 1266.5, 491.5], [0, 0, 1]])"});
     std::vector<std::string> files, poses;
     const auto add_file = [&](const std::string& token, const std::string& sample,
                               const std::string& calibration, int at, bool key, const std::string& next,
                               const std::string& file) {
         files.push_back(fmt::format(R"("token": "{}", "sample_token": "{}", "ego_pose_token": "e{}", )"
                                     R"("calibrated_sensor_token": "{}", "filename": "{}", "timestamp": {}, )"
-                                    R"("is_key_frame": {}, "next": "{}")",
+                                    R"("is_key_frame": {}, "next": "{}", "width": 1600, "height": 900)",
                                     token, sample, at, calibration, file, time_us(at), key, next));
     };
     for (int i = kSweeps - 1; i >= 0; --i) {  // not ordered by time

@@ -179,6 +179,22 @@ TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
                           NuscenesFolder::box_at(actual.frames[i].time_s));
 }
 
+/// The mounting of the fixture's camera is that of the vehicle.
+TEST(Nuscenes, CamerasHaveTheirCalibration) {
+    const Log log = load(NuscenesFolder("cameras", 40));
+    ASSERT_EQ(log.cameras.size(), 1u);
+    const Camera& camera = log.cameras[0];
+    EXPECT_EQ(camera.name, "CAM_FRONT");
+    EXPECT_EQ(camera.columns, 1600);
+    EXPECT_EQ(camera.rows, 900);
+    EXPECT_LT(glm::distance(*camera.project({1.0, 2.0, 4.0}),
+                            glm::dvec2(816.3 + 1266.4 / 4.0, 491.5 + 1266.5 / 2.0)),
+              1e-9);
+    const glm::dvec3 point_m(3.0, -2.0, 5.0);  // in the frame of the vehicle and the camera
+    EXPECT_LT(glm::distance(log.lidars[0].vehicle_from_sensor * camera.rig_from_camera * point_m, point_m),
+              1e-9);
+}
+
 TEST(Nuscenes, ScenesFramesAndPoses) {
     const NuscenesFolder data("scenes", 40);
     EXPECT_EQ(data.load().name, "nuScenes scene-0061");
