@@ -68,22 +68,19 @@ struct RenderOptions {
     bool quiet = false;
     std::optional<OwnVehicle> vehicle = {};         ///< of the rig; empty for that of the log
     std::optional<double> base_link_height_m = {};  ///< computed from the run
+    /// Returns true if a camera replaces the sensors.
+    bool is_camera() const { return layout.empty() && !view.camera.empty(); }
 };
 
-/// Returns true if a camera replaces the sensors.
-bool is_camera(const RenderOptions& options) {
-    return options.layout.empty() && !options.view.camera.empty();
-}
-
 std::vector<std::string> formats_of(const RenderOptions& options) {
-    return parse_formats(options.formats.value_or(is_camera(options) ? "png" : "npz"));
+    return parse_formats(options.formats.value_or(options.is_camera() ? "png" : "npz"));
 }
 
 /// Rejects options that only LiDARs have.
 void check_camera(const RenderOptions& options) {
     const bool has_lidar_option = !options.sensor.empty() || options.sample || !options.weather.empty() ||
                                   !options.vehicle_name.empty() || options.merge;
-    if (is_camera(options) && has_lidar_option)
+    if (options.is_camera() && has_lidar_option)
         fail<UsageError>(
             "--camera {}: found --sensor, --sample, --weather, --vehicle or --merge, which need a LiDAR; "
             "expected --layout, or none of these",
@@ -140,7 +137,7 @@ void check_layout(const RenderOptions& options, const MpiProcessGroup& ranks) {
 void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
     const std::vector<std::string> formats = formats_of(options);
     for (const std::string& format : formats)
-        if (is_camera(options) && is_recording(format))
+        if (options.is_camera() && is_recording(format))
             fail<UsageError>(
                 "--camera {}: found --format {}, which stores scans of LiDARs; expected png, npz, exr or "
                 "points",
@@ -368,16 +365,6 @@ private:
     }
 };
 
-/// Returns the time shift with which no sensor has a stamp before 1970.
-std::int64_t largest_time_shift_ns(const Run& run, const std::vector<RenderedSensor>& sensors,
-                                   const std::vector<NumberedScanTime>& sweeps) {
-    const double first_s = std::ranges::min(sweeps, {}, &NumberedScanTime::time_s).time_s;
-    std::int64_t shift_ns = 0;
-    for (const RenderedSensor& target : sensors)
-        shift_ns = std::max(shift_ns, time_shift_of(run, target.sensor, first_s));
-    return shift_ns;
-}
-
 /// Selects what the renderer shows and which additional values the output needs.
 void configure_renderer(ScanRenderer& renderer, const RenderOptions& options,
                         const std::vector<bool>& shown_instances) {
@@ -426,8 +413,8 @@ void run_render(const RenderOptions& command_options) {
     const int lidar = find_lidar(run.log, options.lidar);
     const auto sweeps = has_user_path ? sweeps_on_path(run, options, user_path, lidar)
                                       : sweeps_of_frames(run, options.frames, lidar, options.quiet);
-    std::vector<RenderedSensor> sensors = is_camera(options) ? list_cameras(options.view.camera, run, lidar)
-                                                             : list_sensors(options.sensor, rig, run, lidar);
+    std::vector<RenderedSensor> sensors = options.is_camera() ? list_cameras(options.view.camera, run, lidar)
+                                                              : list_sensors(options.sensor, rig, run, lidar);
     if (uses_log_vehicle) add_log_body(sensors, run, lidar, offset);
     options.map = open_map(run.log, options.crs);
     options.time_shift_ns = largest_time_shift_ns(run, sensors, sweeps);

@@ -108,6 +108,15 @@ std::vector<RenderedSensor> list_cameras(const std::string& name, const Run& run
         {.sensor = camera_sensor(camera, run.config, run.log, lidar), .mounting = camera.rig_from_camera}};
 }
 
+std::int64_t largest_time_shift_ns(const Run& run, const std::vector<RenderedSensor>& sensors,
+                                   const std::vector<NumberedScanTime>& sweeps) {
+    const double first_s = std::ranges::min(sweeps, {}, &NumberedScanTime::time_s).time_s;
+    std::int64_t shift_ns = 0;
+    for (const RenderedSensor& target : sensors)
+        shift_ns = std::max(shift_ns, time_shift_of(run, target.sensor, first_s));
+    return shift_ns;
+}
+
 void add_log_body(std::vector<RenderedSensor>& sensors, const Run& run, int lidar, const Pose& offset) {
     constexpr double kSamePlace_m = 0.2;
     for (RenderedSensor& target : sensors) {

@@ -51,6 +51,10 @@ std::vector<RenderedSensor> list_sensors(const std::string& name, const SensorRi
 /// Returns a camera by the name or file of choose_camera(), as the only sensor.
 std::vector<RenderedSensor> list_cameras(const std::string& name, const Run& run, int lidar);
 
+/// Returns the time shift with which no sensor has a stamp before 1970.
+std::int64_t largest_time_shift_ns(const Run& run, const std::vector<RenderedSensor>& sensors,
+                                   const std::vector<NumberedScanTime>& sweeps);
+
 /// Lets what blocks the log's LiDAR block the other sensors, too. Prints a note for a
 /// sensor at another place.
 /// @param offset  pose of the rig or the sensor in the frame of the log's LiDAR
