@@ -37,9 +37,9 @@ def read_dataset(folder, rig_from_sensor):
     """Returns the boxes of each frame: centre, size and yaw in the frame of the rig, and classes."""
     layout = json.loads((folder / "dataset.json").read_text())["layout"]
     frames = []
-    for _, boxes, world_from_lidar in READERS[layout](folder, 0):
+    for _, boxes, world_from_lidar, *_ in READERS[layout](folder, 0):
         to_rig = np.eye(4) if world_from_lidar is None else rig_from_sensor @ np.linalg.inv(world_from_lidar)
-        rows = [(to_rig @ m, size, find_class(name, layout)) for m, size, name in boxes]
+        rows = [(to_rig @ m, size, find_class(name, layout)) for m, size, *_, name in boxes]
         frames.append([(np.r_[m[:3, 3], size, np.arctan2(m[1, 0], m[0, 0])], classes) for m, size, classes in rows])
     return f"{folder} ({layout})", frames
 

@@ -73,9 +73,11 @@ void check_dataset_folder(const std::filesystem::path& folder, const std::string
 /// with the most points on the object faces it.
 ///   kitti      training/ and ImageSets/ of the object benchmark, tracking/training/ of
 ///              the tracking benchmark; points of all sensors, in the frame of the rig
-///   nuscenes   v1.0-trainval/ and samples/; a scene, and a channel for each sensor
+///   nuscenes   v1.0-trainval/ and samples/; a scene, and a channel for each sensor and
+///              for the camera
 ///   openlabel  sequences/NN/openlabel.json, with the points of all sensors and their
 ///              classes as in SemanticKITTI (velodyne/, labels/)
+///   custom     points/, labels/ and ImageSets/ of OpenPCDet and mmdet3d
 /// All points of a frame have the reference time of the scans (deskewed). dataset.json
 /// lists the sequences. Files of an interrupted sequence are overwritten by the next one.
 class DatasetSequenceWriter {

@@ -110,13 +110,14 @@ protected:
         sensors[1].options.frame_id = "second";
         sensors[1].options.offset = kSecondMounting;
     }
-    void write_sequence(const std::string& layout, std::uint64_t seed, bool replace = false) {
+    void write_sequence(const std::string& layout, std::uint64_t seed, bool replace = false,
+                        const DatasetView& view = {}, const RenderedScan* picture = nullptr) {
         for (DatasetSensor& sensor : sensors) sensor.options.sample = seed;
-        DatasetSequenceWriter writer(folder, layout, sensors, times_s, replace);
+        DatasetSequenceWriter writer(folder, layout, sensors, times_s, replace, view);
         for (const double t : times_s) {
             std::vector<RenderedScan> scans{cast_rays(t, Pose{}, -45.0, ring_step_rad)};
             if (sensors.size() > 1) scans.push_back(cast_rays(t, kSecondMounting, -300.0, ring_step_rad));
-            writer.write_scans(scans);
+            writer.write_scans(scans, picture);
         }
         writer.finish();
     }
@@ -168,6 +169,29 @@ TEST_F(Layouts, UsersNameTheClasses) {
     std::ofstream(folder / "list.json") << "[1]";
     EXPECT_THAT(get_data_error_message([&] { read_class_names(folder / "list.json"); }),
                 test::Names("list.json ... pairs"));
+}
+
+/// The loaders add half of the height along the z axis of the LiDAR.
+TEST_F(Layouts, KittiLoadersFindTheCentreForATiltedSensor) {
+    sensors.resize(1);
+    sensors[0].rig_from_sensor = {glm::angleAxis(0.05, glm::dvec3(0, 1, 0)), glm::dvec3(0.0)};
+    write_sequence("kitti", 0);
+    std::istringstream label(read_contents(folder / "training/label_2/000000.txt"));
+    std::string word;
+    for (int i = 0; i < 8; ++i) label >> word;
+    double height, width, length;
+    glm::dvec3 location;
+    label >> height >> width >> length >> location.x >> location.y >> location.z;
+    std::istringstream calibration(read_contents(folder / "training/calib/000000.txt"));
+    while (calibration >> word && word != "Tr_velo_to_cam:") {}
+    double m[12];
+    for (double& value : m) calibration >> value;
+    const glm::dmat3 rig_from_camera(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);  // transposed
+    const glm::dvec3 found = rig_from_camera * (location - glm::dvec3(m[3], m[7], m[11])) +
+                             glm::dvec3(0.0, 0.0, 0.5 * height),
+                     expected = sensors[0].rig_from_sensor * inverse(rig_pose(kStart_s)) *
+                                car_pose(kStart_s).translation;
+    EXPECT_LT(glm::distance(found, expected), 1e-3);
 }
 
 TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
@@ -258,6 +282,75 @@ TEST_F(Layouts, NuscenesScenesHaveOfficialNamesOfTheirSplit) {
                 EXPECT_EQ(scene_of_record[next], scene_of_record[record["token"]]) << table;
             }
     }
+}
+
+Pose parse_record(const nlohmann::json& record) {
+    const auto& q = record["rotation"];
+    const auto& t = record["translation"];
+    return {{q[0], q[1], q[2], q[3]}, {t[0], t[1], t[2]}};
+}
+
+/// Projects the centre of the car with the tables, as the development kit does.
+TEST_F(Layouts, NuscenesCameraSeesTheCarAtItsPixel) {
+    using nlohmann::json;
+    const DatasetView view{
+        .camera = Camera{.name = "front",
+                         .focal_x_px = 500.0,
+                         .focal_y_px = 510.0,
+                         .centre_x_px = 330.0,
+                         .centre_y_px = 170.0,
+                         .columns = 640,
+                         .rows = 360,
+                         .rig_from_camera = {glm::dquat(0.5, -0.5, 0.5, -0.5), {0.3, 0.1, -0.2}}}};
+    for (DatasetSensor& sensor : sensors)
+        sensor.options.vehicle_from_lidar = {glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {1.0, 0.2, 1.5}};
+    RenderedScan picture;
+    picture.image.rows = 360;
+    picture.image.columns = 640;
+    picture.image.range_m.assign(640 * 360, 5.0f);
+    picture = test::complete(std::move(picture));
+    write_sequence("nuscenes", 0, false, view);
+    write_sequence("nuscenes", 1, false, view, &picture);
+    std::map<std::string, std::map<std::string, json>> tables;
+    for (const char* table : {"sensor", "calibrated_sensor", "ego_pose", "sample_data", "sample_annotation"})
+        for (const json& record :
+             json::parse(read_contents(folder / "v1.0-trainval" / (std::string(table) + ".json"))))
+            tables[table][record["token"]] = record;
+    std::map<std::string, std::set<std::string>> files;  // by channel
+    int n_projected = 0;
+    for (const auto& [token, data] : tables["sample_data"]) {
+        const json &mount = tables["calibrated_sensor"].at(data["calibrated_sensor_token"]),
+                   &sensor = tables["sensor"].at(mount["sensor_token"]);
+        const std::string file = data["filename"];
+        if (sensor["modality"] != "camera") continue;
+        files[sensor["channel"]].insert(file);
+        EXPECT_EQ(data["width"], 640);
+        EXPECT_EQ(data["height"], 360);
+        EXPECT_TRUE(std::filesystem::exists(folder / file)) << file;
+        if (sensor["channel"] != "CAM_FRONT") continue;
+        const Pose world_from_camera =
+            parse_record(tables["ego_pose"].at(data["ego_pose_token"])) * parse_record(mount);
+        for (const auto& [box_token, box] : tables["sample_annotation"])
+            if (box["sample_token"] == data["sample_token"] && box["size"][1] == kCarSize_m.x) {
+                const glm::dvec3 centre = inverse(world_from_camera) * parse_record(box).translation;
+                const auto& k = mount["camera_intrinsic"];
+                const auto pixel = [&](int row) {
+                    return (k[row][0].get<double>() * centre.x + k[row][1].get<double>() * centre.y) /
+                               centre.z +
+                           k[row][2].get<double>();
+                };
+                // The car is 10 m before, 2 m left of and 1.25 m below the rig.
+                EXPECT_NEAR(pixel(0), 330.0 - 500.0 * 1.9 / 9.7, 1e-6);
+                EXPECT_NEAR(pixel(1), 170.0 + 510.0 * 1.05 / 9.7, 1e-6);
+                ++n_projected;
+            }
+    }
+    EXPECT_EQ(n_projected, 2 * kSequenceFrames);
+    EXPECT_EQ(files.size(), 6u) << "mmdet3d reads six channels";
+    EXPECT_EQ(files["CAM_FRONT"].size(), 1u + kSequenceFrames) << "a black picture, and one for each frame";
+    EXPECT_EQ(files["CAM_BACK"].size(), 2u);
+    EXPECT_NE(read_contents(folder / *files["CAM_FRONT"].begin()),
+              read_contents(folder / *files["CAM_FRONT"].rbegin()));
 }
 
 /// OpenPCDet fails on categories that nuScenes does not have.

@@ -107,7 +107,9 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def create_module(self, spec):
         module = types.ModuleType(spec.name)
         module.__path__ = []
-        module.__getattr__ = lambda name: getattr(Anything, name)
+        # `from skimage import io` asks for an attribute before it imports a module.
+        module.__getattr__ = lambda name: (importlib.import_module(f"{spec.name}.{name}") if f"{spec.name}.{name}" in FUNCTIONS
+                                           else getattr(Anything, name))
         return module
 
     def exec_module(self, module):

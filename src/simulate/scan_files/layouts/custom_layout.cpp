@@ -16,10 +16,10 @@ class CustomWriter : public LayoutWriter {
 public:
     CustomWriter(SequencePlace place, const std::vector<DatasetSensor>& sensors, const DatasetView& view)
         : LayoutWriter(std::move(place), sensors, view) {
-        constexpr int kMaxFrames = 1'000'000;  // names have 6 digits
-        if (place_.first_frame + place_.n_frames > kMaxFrames)
+        constexpr int kMaxNames = 1'000'000;  // names have 6 digits
+        if (place_.first_frame + place_.n_frames > kMaxNames)
             fail<UsageError>("--layout custom: found frame {}, expected at most {}",
-                             place_.first_frame + place_.n_frames - 1, kMaxFrames - 1);
+                             place_.first_frame + place_.n_frames - 1, kMaxNames - 1);
         if (!place_.is_new) return;
         // Removes the frames of an interrupted sequence.
         std::error_code failed;

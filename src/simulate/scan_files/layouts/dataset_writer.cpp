@@ -169,10 +169,11 @@ DatasetView complete_view(DatasetView view, const std::string& layout) {
     return view;
 }
 
-/// Explains the names of scenes to users of the layout nuscenes.
-constexpr const char* kSceneNames =
+/// What users of the layout nuscenes must know.
+constexpr const char* kNuscenesNotes =
     "\nThe scenes have names of nuScenes, although they are none of its scenes: OpenPCDet, mmdet3d and the "
-    "development kit select the scenes of a split by the official names.\n";
+    "development kit select the scenes of a split by the official names. Only the pictures of CAM_FRONT are "
+    "rendered. Those of the other cameras are black; mmdet3d needs their records.\n";
 
 /// Writes a description for users: licence, split, and the settings of each sequence.
 void write_readme(const fs::path& folder, const DatasetIndex& index) {
@@ -183,7 +184,7 @@ void write_readme(const fs::path& folder, const DatasetIndex& index) {
         "point is in the box. All points of a frame have the same reference time.\n\n"
         "Validation split: the sequences 1, 6, 11, ..., and the last fifth of sequence 0 if the layout lists "
         "frames. So a frame never changes its split when sequences are added.\n{}",
-        RELIDAR_VERSION, index.layout, index.layout == "nuscenes" ? kSceneNames : "");
+        RELIDAR_VERSION, index.layout, index.layout == "nuscenes" ? kNuscenesNotes : "");
     for (std::size_t s = 0; s < index.sequences.size(); ++s) {
         const Json& settings = index.sequences[s].settings;
         text += fmt::format("\n## Sequence {}\n\n- frames: {}\n- split: {}\n", s, index.sequences[s].n_frames,

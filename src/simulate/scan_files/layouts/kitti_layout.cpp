@@ -29,10 +29,14 @@ int occlusion_level(const std::optional<double>& visible_share) {
 
 /// Returns the columns of a KITTI label from `occluded` to `rotation_y`, which the object
 /// and the tracking benchmark share. The camera frame has the axes right, down, forward.
-std::string label_columns(const LabelledObject& object, const Pose& camera_from_world) {
+std::string label_columns(const LabelledObject& object, const Pose& camera_from_world,
+                          const Pose& camera_from_rig) {
     const Pose camera_from_box = camera_from_world * object.world_from_box;
+    // Loaders compute the centre of the box along the z axis of the LiDAR, also if the
+    // LiDAR is tilted against the box.
     const glm::dvec3 &size_m = object.size_m, forward = camera_from_box.rotation * glm::dvec3(1.0, 0.0, 0.0),
-                     location = camera_from_box * glm::dvec3(0.0, 0.0, -0.5 * size_m.z);  // lower face
+                     up = camera_from_rig.rotation * glm::dvec3(0.0, 0.0, 1.0),
+                     location = camera_from_box.translation - 0.5 * size_m.z * up;
     const double rotation_y = std::atan2(-forward.z, forward.x);  // angle from right to backward
     // `alpha` is rotation_y relative to the line from the camera to the object.
     const double alpha = wrap_angle(rotation_y - std::atan2(location.x, location.z));
@@ -106,7 +110,8 @@ public:
         std::string labels;
         const Pose camera_from_world = inverse(frame.world_from_rig * camera().rig_from_camera);
         for (const LabelledObject& label : frame.objects) {
-            const std::string columns = label_columns(label, camera_from_world);
+            const std::string columns =
+                label_columns(label, camera_from_world, inverse(camera().rig_from_camera));
             const double truncated = label.image_box ? label.image_box->truncated : 1.0;
             labels += fmt::format("{} {:.2f} {}\n", label.name, truncated, columns);
             tracks_ += fmt::format("{} {} {} {} {}\n", frame.index, label.number, label.name,

@@ -45,6 +45,16 @@ constexpr SceneNumbers kValScenes[] = {{12, 18},   {92, 110},  {268, 278}, {519,
                                        {632, 638}, {794, 800}, {904, 917}, {919, 931}, {1059, 1073}};
 constexpr std::size_t kMaxSequence = 560;  // needs 449 and 113 scenes
 
+/// Channels of cameras, turned to the left against the camera of the data set. mmdet3d reads
+/// records of all of them.
+struct CameraChannel {
+    const char* name;
+    double yaw_deg;
+};
+constexpr CameraChannel kCameraChannels[] = {{"CAM_FRONT", 0.0},         {"CAM_FRONT_LEFT", 55.0},
+                                             {"CAM_FRONT_RIGHT", -55.0}, {"CAM_BACK", 180.0},
+                                             {"CAM_BACK_LEFT", 110.0},   {"CAM_BACK_RIGHT", -110.0}};
+
 /// Returns the name of the n-th scene of a split.
 std::string name_scene(std::span<const SceneNumbers> split, std::size_t n) {
     auto numbers = split.begin();
@@ -117,6 +127,19 @@ public:
             records_["calibrated_sensor"].push_back(mount);
             add_shared("sensor", channels_[s], {{"channel", channels_[s]}, {"modality", "lidar"}});
         }
+        const Pose ego_from_rig = ego_from_sensor(0) * inverse(sensors_[0].rig_from_sensor);
+        for (const CameraChannel& channel : kCameraChannels) {
+            Json mount = {{"token", token("mount", channel.name)},
+                          {"sensor_token", shared("sensor", channel.name)}};
+            const Pose turn{glm::angleAxis(glm::radians(channel.yaw_deg), glm::dvec3(0, 0, 1)),
+                            glm::dvec3(0.0)};
+            add_pose(mount, ego_from_rig * turn * camera().rig_from_camera);
+            mount["camera_intrinsic"] = {{camera().focal_x_px, 0.0, camera().centre_x_px},
+                                         {0.0, camera().focal_y_px, camera().centre_y_px},
+                                         {0.0, 0.0, 1.0}};
+            records_["calibrated_sensor"].push_back(mount);
+            add_shared("sensor", channel.name, {{"channel", channel.name}, {"modality", "camera"}});
+        }
     }
 
     void write_frame(const LabelledFrame& frame) override {
@@ -136,20 +159,12 @@ public:
             const std::string file =
                 fmt::format("samples/{0}/{1}__{0}__{2}.pcd.bin", channel, scene_, time_us);
             write_bytes(place_.folder / file, pack_points(frame.clouds[s], frame.n_rings[s]));
-            Json pose = {{"token", token("data " + channel, std::to_string(i))}, {"timestamp", time_us}};
-            add_pose(pose, world_from_ego);
-            records_["ego_pose"].push_back(pose);
-            add_linked("sample_data", "data " + channel, i,
-                       {{"sample_token", token("sample", std::to_string(i))},
-                        {"ego_pose_token", pose["token"]},
-                        {"calibrated_sensor_token", token("mount", channel)},
-                        {"filename", file},
-                        {"fileformat", "pcd"},
-                        {"width", 0},
-                        {"height", 0},
-                        {"timestamp", time_us},
-                        {"is_key_frame", true}});
+            add_data(channel, frame, file, "pcd", 0, 0);
         }
+        Json pose = {{"token", token("pose", std::to_string(i))}, {"timestamp", time_us}};
+        add_pose(pose, world_from_ego);
+        records_["ego_pose"].push_back(pose);
+        write_pictures(frame);
         for (const LabelledObject& object : frame.objects) add_annotation(object, i);
     }
 
@@ -230,6 +245,34 @@ private:
         record["next"] =
             next == place_.n_frames || starts_scene(next) ? "" : token(kind, std::to_string(next));
         records_[table].push_back(std::move(record));
+    }
+
+    void add_data(const std::string& channel, const LabelledFrame& frame, const std::string& file,
+                  const char* format, int columns, int rows) {
+        add_linked("sample_data", "data " + channel, frame.index,
+                   {{"sample_token", token("sample", std::to_string(frame.index))},
+                    {"ego_pose_token", token("pose", std::to_string(frame.index))},
+                    {"calibrated_sensor_token", token("mount", channel)},
+                    {"filename", file},
+                    {"fileformat", format},
+                    {"width", columns},
+                    {"height", rows},
+                    {"timestamp", frame.stamp_ns / 1000},
+                    {"is_key_frame", true}});
+    }
+
+    /// Writes the picture of CAM_FRONT. All other pictures are one black file per channel and
+    /// sequence.
+    void write_pictures(const LabelledFrame& frame) {
+        for (const CameraChannel& channel : kCameraChannels) {
+            const RenderedScan* picture = channel.yaw_deg == 0.0 ? frame.picture : nullptr;
+            const std::string name =
+                picture ? fmt::format("{}__{}__{}", scene_, channel.name, frame.stamp_ns / 1000)
+                        : fmt::format("black_{}", place_.number);
+            const std::string file = fmt::format("samples/{}/{}.png", channel.name, name);
+            if (picture || frame.index == 0) write_picture(place_.folder / file, camera(), picture);
+            add_data(channel.name, frame, file, "png", camera().columns, camera().rows);
+        }
     }
 
     /// Returns five floats for each point: x, y, z, intensity up to 255, ring (0 lowest).
