@@ -219,15 +219,21 @@ find_numpy() {
 
 # Writes data sets and compares them with the boxes of a rendering.
 layouts() {
-    local python layout
+    local python layout view
     find_numpy
     good render run --out labelled "$@" --format bin --boxes
+    # A small picture, because those of the default cameras take long.
+    echo '{"K": [180, 0, 155, 0, 180, 43, 0, 0, 1], "size": [310, 94], "translation_m": [0.3, 0.1, -0.1], "yaw_pitch_roll_deg": [3, 1, 0]}' >camera.json
     for layout in kitti nuscenes openlabel; do
-        good render run --out $layout "$@" --layout $layout
+        view=(--camera camera.json --fov all)
+        [[ $layout = openlabel ]] && view=()
+        good render run --out $layout "$@" --layout $layout "${view[@]}"
         says "wrote 2 scans .*$layout"
-        bad 2 "$layout: sequence 0 .*--force" render run --out $layout "$@" --layout $layout
-        good render run --out $layout "$@" --layout $layout --sample 1
-        good render run --out $layout "$@" --layout $layout --force
+        bad 2 "$layout: sequence 0 .*--force" render run --out $layout "$@" --layout $layout "${view[@]}"
+        [[ $layout = openlabel ]] || view=(--camera none)
+        good render run --out $layout "$@" --layout $layout --sample 1 "${view[@]}"
+        [[ $layout = openlabel ]] || view=(--camera camera.json --fov all)
+        good render run --out $layout "$@" --layout $layout --force "${view[@]}"
         for file in README.md dataset.json; do exists $layout/$file; done
         if [[ $python != none ]]; then
             "$python" "$tests/read_layouts.py" $layout $layout 0 labelled packet_rig.json >err 2>&1 &&
@@ -242,6 +248,9 @@ layouts() {
     bad 2 " labelled/top" render run --out labelled/top --layout kitti
     bad 2 "--layout kitti: .*--format, --merge" render run --out x --layout kitti --deskew
     bad 2 '--layout: "kiti" .*openlabel' render run --out x --layout kiti
+    bad 2 "--fov .*--layout" render run --out x --fov all
+    bad 2 "--camera kitti: .*openlabel" render run --out x --layout openlabel --camera kitti
+    bad 2 "--fov camera: .*openlabel" render run --out x --layout openlabel --fov camera
     absent x
 }
 

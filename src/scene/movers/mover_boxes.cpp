@@ -177,7 +177,7 @@ struct TypicalObjectSize {
     double length_m, width_m;
     double min_length_m, min_width_m;  ///< minimum length and width if all sides of the object are visible
 };
-constexpr TypicalObjectSize kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
+constexpr TypicalObjectSize kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclistSize{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
 constexpr double kMinCarSpeed_mps = 2.5;                      // pedestrians side by side look like a slow car
 constexpr double kMinTruckHeight_m = 2.5;                     // objects taller than this are trucks
@@ -185,7 +185,7 @@ constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;  // maximum width, 
 
 const TypicalObjectSize& guess_object_kind(const glm::dvec3& size_m) {
     if (size_m.x < kCar.min_length_m && size_m.y < kCyclistWidth_m && size_m.z > kCyclistTop_m)
-        return kCyclist;
+        return kCyclistSize;
     return size_m.z > kMinTruckHeight_m ? kTruck : kCar;
 }
 

@@ -20,6 +20,7 @@
 #include "../plates.hpp"
 #include "base/geometry/ray_box.hpp"
 #include "log/classes/dataset_classes.hpp"
+#include "simulate/scan_files/layouts/layout.hpp"
 
 namespace relidar {
 namespace {
@@ -90,6 +91,7 @@ class Layouts : public TemporaryFolder {
 protected:
     std::vector<DatasetSensor> sensors;
     std::vector<double> times_s;
+    DatasetView view;
     double ring_step_rad = 0.015;
 
     void SetUp() override {
@@ -110,7 +112,7 @@ protected:
     }
     void write_sequence(const std::string& layout, std::uint64_t seed, bool replace = false) {
         for (DatasetSensor& sensor : sensors) sensor.options.sample = seed;
-        DatasetSequenceWriter writer(folder, layout, sensors, times_s, replace);
+        DatasetSequenceWriter writer(folder, layout, sensors, times_s, replace, view);
         for (const double t : times_s) {
             std::vector<RenderedScan> scans{cast_rays(t, Pose{}, -45.0, ring_step_rad)};
             if (sensors.size() > 1) scans.push_back(cast_rays(t, kSecondMounting, -300.0, ring_step_rad));
@@ -120,29 +122,142 @@ protected:
     }
 };
 
+/// A camera at the origin of the rig that looks forward.
+Camera forward_camera() {
+    return {"forward", 100.0, 100.0, 100.0, 80.0, 201, 161, {glm::dquat(0.5, -0.5, 0.5, -0.5), {}}};
+}
+
+void expect_box(const std::optional<layouts::ImageBox>& box, const std::array<double, 4>& expected_px,
+                double truncated) {
+    ASSERT_TRUE(box);
+    const std::array found_px{box->min_px.x, box->min_px.y, box->max_px.x, box->max_px.y};
+    for (std::size_t i = 0; i < 4; ++i) EXPECT_NEAR(found_px[i], expected_px[i], 1e-3) << i;
+    EXPECT_NEAR(box->truncated, truncated, 1e-9);
+}
+
+TEST(ImageBox, HasTheCornersOfTheBoxInFrontOfTheCamera) {
+    const Camera camera = forward_camera();
+    const auto project = [&](const glm::dvec3& centre_m, const glm::dvec3& size_m) {
+        return layouts::project_box(camera, {glm::dquat(1, 0, 0, 0), centre_m}, size_m);
+    };
+    expect_box(project({0, 0, 5}, {2, 2, 2}), {75, 55, 125, 105}, 0.0);
+    expect_box(project({-5, 1, 5}, {2, 2, 0}), {0, 80, 20, 120}, 0.5);      // symmetric to column 0
+    expect_box(project({5, 4, 5}, {2, 2, 0}), {180, 140, 200, 160}, 0.75);  // in a corner
+    // Beside the camera, from 2 m behind to 2 m before it. Only 1.9 m are in front of the
+    // near plane at 0.1 m, where the box reaches to column 3100 and row 1580.
+    const double share = 1.0 - 50.0 * 55.0 / (2950.0 * 1475.0);
+    expect_box(project({2, 1, 0}, {2, 1, 4}), {150, 105, 200, 160}, share);
+    EXPECT_FALSE(project({0, 0, -5}, {2, 2, 2})) << "behind the camera";
+    EXPECT_FALSE(project({-8, 0, 5}, {2, 2, 2})) << "left of the picture";
+}
+
+/// Reads a label: its type, and all numbers.
+struct Label {
+    std::string type;
+    std::vector<double> v;
+};
+std::vector<Label> read_labels(const std::filesystem::path& file) {
+    std::istringstream lines(read_contents(file));
+    std::vector<Label> labels;
+    for (std::string line; std::getline(lines, line);) {
+        std::istringstream words(line);
+        Label& label = labels.emplace_back();
+        words >> label.type;
+        for (double number; words >> number;) label.v.push_back(number);
+    }
+    return labels;
+}
+
 TEST_F(Layouts, KittiLabelsHaveTheClosedFormInTheCamera) {
     sensors.resize(1);
+    view.camera = forward_camera();
     write_sequence("kitti", 0);
-    std::istringstream file(read_contents(folder / "training/label_2/000001.txt"));
-    std::string type;
-    double v[14];
-    const auto read_line = [&] {
-        file >> type;
-        for (double& number : v) file >> number;
-    };
-    read_line();
-    EXPECT_EQ(type, "Car");
+    const std::vector<Label> labels = read_labels(folder / "training/label_2/000001.txt");
+    ASSERT_EQ(labels.size(), 2u);
+    ASSERT_EQ(labels[0].v.size(), 14u);
+    const std::vector<double>& v = labels[0].v;
+    EXPECT_EQ(labels[0].type, "Car");
     EXPECT_EQ(v[0], 0.0) << "truncated";
     EXPECT_EQ(v[1], 1.0) << "three quarters are visible";
     const double turn = -kYaw - 0.5 * kPi,
                  expected[] = {kCarSize_m.z, kCarSize_m.y, kCarSize_m.x, -2.0, kRigHeight_m, 10.0};
-    for (int i = 0; i < 6; ++i) EXPECT_NEAR(v[7 + i], expected[i], 1e-4) << i;
+    for (std::size_t i = 0; i < 6; ++i) EXPECT_NEAR(v[7 + i], expected[i], 1e-4) << i;
     EXPECT_NEAR(v[13], turn, 1e-4);
     EXPECT_NEAR(v[2], turn - std::atan2(-2.0, 10.0), 1e-4) << "alpha";
-    read_line();
-    EXPECT_EQ(type, "Pedestrian");
-    EXPECT_NEAR(v[0], 0.5, 0.07) << "half is left of the field of view";
-    EXPECT_EQ(v[1], 2.0) << "a third is visible";
+    // In the frame of the car, the corner nearest to the camera is 2 m behind the centre and
+    // 1 m to the left.
+    const double nearest_m = 10.0 - 2.0 * std::cos(kYaw) - std::sin(kYaw);
+    EXPECT_NEAR(v[6], 80.0 + 100.0 * kRigHeight_m / nearest_m, 0.005) << "lowest row";
+    EXPECT_EQ(labels[1].type, "Pedestrian");
+    // Seen from the rig, the walker is symmetric to an azimuth of 45 degrees, column 0.
+    const double half_width_rad = std::atan(0.3 / (4.0 * std::sqrt(2.0) - 0.3)),
+                 left_px = 100.0 * std::tan(0.25 * kPi + half_width_rad) - 100.0,
+                 right_px = 100.0 - 100.0 * std::tan(0.25 * kPi - half_width_rad);
+    EXPECT_EQ(labels[1].v[3], 0.0);
+    EXPECT_NEAR(labels[1].v[5], right_px, 0.005);
+    EXPECT_NEAR(labels[1].v[0], left_px / (left_px + right_px), 0.005) << "truncated";
+    EXPECT_EQ(labels[1].v[1], 2.0) << "a third is visible";
+}
+
+TEST_F(Layouts, ExtentOfAFrameIsThePictureOrTheLabelledSector) {
+    sensors.resize(1);
+    // No ray hits this car, so it may be anywhere behind others.
+    sensors[0].options.actors.push_back({"hidden", "Car", kCarSize_m, {}});
+    for (const double t : {kStart_s - 1.0, kStart_s + 3.0})
+        sensors[0].options.actors.back().world_from_box.append(
+            t, {glm::dquat(1, 0, 0, 0), rig_pose(t).translation + glm::dvec3(20.0, -3.0, 0.0)});
+    LabelledSector sector{{-0.2, 0.5}, {}};
+    for (const double t : times_s) sector.dataset_from_lidar.append(t, rig_pose(t));
+    view.labelled = sector;
+    const Camera kitti = kitti_camera();
+    const auto count_outside = [&](std::size_t frame, const auto& is_inside) {
+        const std::string bytes = read_contents(folder / fmt::format("training/velodyne/{:06}.bin", frame));
+        std::size_t n_outside = 0;
+        for (std::size_t at = 0; at < bytes.size(); at += 16) {
+            glm::vec3 point;
+            std::memcpy(&point, bytes.data() + at, sizeof point);
+            n_outside += !is_inside(glm::dvec3(point));
+        }
+        return std::pair(n_outside, bytes.size() / 16);
+    };
+    const auto in_sector = [](const glm::dvec3& p) {
+        return std::atan2(p.y, p.x) > -0.2001 && std::atan2(p.y, p.x) < 0.5001;
+    };
+    const auto in_picture = [&](const glm::dvec3& p) {
+        const auto pixel = kitti.project(inverse(kitti.rig_from_camera) * p);
+        return pixel && pixel->x > -0.01 && pixel->y > -0.01 && pixel->x < 1242.01 && pixel->y < 375.01;
+    };
+    std::size_t n_all = 0, frame = 0;
+    for (const DatasetFov fov : {DatasetFov::all, DatasetFov::camera, DatasetFov::labels}) {
+        view.fov = fov;
+        write_sequence("kitti", 0);
+        const std::vector<Label> labels =
+            read_labels(folder / fmt::format("training/label_2/{:06}.txt", frame));
+        const auto of_type = [&](const std::string& type) {
+            return std::ranges::count(labels, type, &Label::type);
+        };
+        EXPECT_EQ(of_type("Car"), 1);
+        EXPECT_EQ(of_type("Pedestrian"), fov == DatasetFov::all) << "at 45 degrees";
+        // The hidden car, and the picture to the left and to the right of the sector.
+        ASSERT_EQ(of_type("DontCare"), 3);
+        const std::vector<Label> last(labels.end() - 3, labels.end());
+        EXPECT_NEAR(last[0].v[3], last[0].v[5], 200.0);
+        const double left_px = 609.56 - 721.54 * std::tan(0.5), right_px = 609.56 + 721.54 * std::tan(0.2);
+        EXPECT_EQ(last[1].v[3], 0.0);
+        EXPECT_NEAR(last[1].v[5], left_px, 2.0);
+        EXPECT_NEAR(last[2].v[3], right_px, 2.0);
+        EXPECT_EQ(last[2].v[5], 1241.0);
+        EXPECT_EQ(last[2].v[6], 374.0);
+        if (fov == DatasetFov::all)
+            for (std::size_t i = 3; i < 7; ++i) EXPECT_EQ(labels[1].v[i], 0.0) << "not in the picture";
+        const auto [n_outside_sector, n] = count_outside(frame, in_sector);
+        EXPECT_EQ(n_outside_sector == 0, fov == DatasetFov::labels);
+        EXPECT_EQ(count_outside(frame, in_picture).first == 0, fov == DatasetFov::camera);
+        if (fov == DatasetFov::all) n_all = n;
+        else EXPECT_LT(n, n_all);
+        EXPECT_GT(n, n_all / 5);
+        frame += kSequenceFrames;
+    }
 }
 
 TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
@@ -244,12 +359,22 @@ void expect_points(const Scan& scan, const std::filesystem::path& file) {
 TEST_F(Layouts, ReaderFindsBoxesAndPointsOfKitti) {
     sensors.resize(1);
     ring_step_rad = kRingStep_rad;
+    const GeodeticPosition place{48.985, 8.394, 116.5};
+    sensors[0].options.georeference =
+        Georeference{place, rig_pose(times_s[0]).translation, local_tangent_crs(place)};
     for (const std::uint64_t seed : {1, 2}) write_sequence("kitti", seed);
     EXPECT_EQ(detect_kind(folder), "kitti_tracking");
     const DatasetOptions options{.sequence = "1", .max_range_m = 1000.0};
     const Log log = load_log(folder.string(), options);
     ASSERT_EQ(log.frames.size(), std::size_t(kSequenceFrames));
-    EXPECT_FALSE(log.has_poses) << "the layout stores none";
+    ASSERT_TRUE(log.georeference);
+    EXPECT_NEAR(log.georeference->position.latitude_deg, place.latitude_deg, 1e-9);
+    EXPECT_NEAR(log.georeference->position.longitude_deg, place.longitude_deg, 1e-9);
+    EXPECT_NEAR(log.georeference->position.height_m, place.height_m, 1e-5);
+    // Columns 0 and 1241 of camera 2, which looks to the left by 0.0002.
+    ASSERT_TRUE(log.labelled_azimuth);
+    EXPECT_NEAR(log.labelled_azimuth->left_rad, std::atan(609.5593 / 721.5377), 2e-3);
+    EXPECT_NEAR(log.labelled_azimuth->right_rad, -std::atan((1241 - 609.5593) / 721.5377), 2e-3);
     EXPECT_FALSE(log.rolling_shutter);
     ASSERT_EQ(log.boxes.size(), 2u);
     for (const BoxTrack& box : log.boxes) {
@@ -260,10 +385,18 @@ TEST_F(Layouts, ReaderFindsBoxesAndPointsOfKitti) {
         for (int i = 0; i < kSequenceFrames; ++i) {
             const double t = times_s[std::size_t(i)];
             const Pose expected = inverse(rig_pose(t)) * (is_car ? car_pose(t) : walker_pose(t)),
-                       found = box.world_from_box.pose[std::size_t(i)];
+                       found = inverse(log.world_from_vehicle.pose[std::size_t(i)]) *
+                               box.world_from_box.pose[std::size_t(i)];
             EXPECT_LT(glm::distance(found.translation, expected.translation), 1e-3);
             EXPECT_LT(glm::angle(glm::inverse(found.rotation) * expected.rotation), 1e-3);
         }
+    }
+    for (std::size_t i = 0; i < times_s.size(); ++i) {
+        const Pose first_from_rig = inverse(rig_pose(times_s[0])) * rig_pose(times_s[i]);
+        EXPECT_LT(glm::distance(log.world_from_vehicle.pose[i].translation + log.world_offset_m,
+                                first_from_rig.translation),
+                  1e-5);
+        EXPECT_NEAR(log.frames[i].time_s - log.frames[0].time_s, times_s[i] - times_s[0], 1e-6);
     }
     for (const Frame& frame : log.frames)
         expect_points(frame.scan,
