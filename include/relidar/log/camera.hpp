@@ -19,6 +19,9 @@ Camera kitti_camera();
 /// Returns CAM_FRONT of nuScenes, 1600 x 900, mounted relative to LIDAR_TOP.
 Camera nuscenes_camera();
 
+/// Returns the azimuths that a camera sees, in the frame of its rig.
+AzimuthInterval view_azimuths(const Camera& camera);
+
 /// Returns the camera that a text in JSON describes:
 ///   {"name": "front", "K": [fx, 0, cx, 0, fy, cy, 0, 0, 1], "size": [columns, rows],
 ///    "translation_m": [0.27, 0, -0.08], "yaw_pitch_roll_deg": [0, 0, 0]}

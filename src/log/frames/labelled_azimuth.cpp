@@ -5,6 +5,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include <relidar/log/camera.hpp>
 #include "base/json_field.hpp"
 
 namespace relidar {

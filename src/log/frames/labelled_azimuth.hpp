@@ -10,9 +10,6 @@ namespace relidar {
 
 class JsonField;
 
-/// Returns the azimuths that a camera sees, in the frame of its rig.
-AzimuthInterval view_azimuths(const Camera& camera);
-
 nlohmann::ordered_json azimuths_json(const AzimuthInterval& azimuths);
 /// @throws DataError unless the field has two angles in ascending order
 AzimuthInterval read_azimuths(const JsonField& field);

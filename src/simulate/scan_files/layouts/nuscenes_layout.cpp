@@ -45,8 +45,8 @@ constexpr SceneNumbers kValScenes[] = {{12, 18},   {92, 110},  {268, 278}, {519,
                                        {632, 638}, {794, 800}, {904, 917}, {919, 931}, {1059, 1073}};
 constexpr std::size_t kMaxSequence = 560;  // needs 449 and 113 scenes
 
-/// Channels of cameras, turned to the left against the camera of the data set. mmdet3d reads
-/// records of all of them.
+/// Channels of cameras, turned to the left against the camera of the data set. mmdet3d
+/// reads records of all of them.
 struct CameraChannel {
     const char* name;
     double yaw_deg;
@@ -261,8 +261,8 @@ private:
                     {"is_key_frame", true}});
     }
 
-    /// Writes the picture of CAM_FRONT. All other pictures are one black file per channel and
-    /// sequence.
+    /// Writes the picture of CAM_FRONT. All other pictures are one black file per channel
+    /// and sequence.
     void write_pictures(const LabelledFrame& frame) {
         for (const CameraChannel& channel : kCameraChannels) {
             const RenderedScan* picture = channel.yaw_deg == 0.0 ? frame.picture : nullptr;
