@@ -14,139 +14,16 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/read/dataset.hpp>
-#include <relidar/simulate/dataset_layouts.hpp>
 
-#include "../../base/codecs/temporary_folder.hpp"
-#include "../plates.hpp"
 #include "base/codecs/npy.hpp"
-#include "base/geometry/ray_box.hpp"
+#include "layouts_fixture.hpp"
 #include "log/classes/dataset_classes.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr double kRigHeight_m = 2.0, kStart_s = 100.0, kYaw = 0.4;
-constexpr int kSequenceFrames = 3;
-const glm::dvec3 kCarSize_m(4.0, 2.0, 1.5), kWalkerSize_m(0.6, 0.6, 1.8);
-const Pose kSecondMounting{glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {-1.0, 0.0, 0.0}};
-
-/// The rig drives forward along x with 2 m/s.
-Pose rig_pose(double time_s) { return {{1, 0, 0, 0}, {5.0 + 2.0 * (time_s - kStart_s), 0.0, kRigHeight_m}}; }
-/// 10 m before the rig in all frames.
-Pose car_pose(double time_s) {
-    return {glm::angleAxis(kYaw, glm::dvec3(0, 0, 1)),
-            rig_pose(time_s).translation + glm::dvec3(10.0, 2.0, 0.5 * kCarSize_m.z - kRigHeight_m)};
-}
-/// Half of it is outside the front sensor's field of view, which ends at 45 degrees.
-Pose walker_pose(double time_s) {
-    return {glm::angleAxis(0.25 * kPi, glm::dvec3(0, 0, 1)),
-            rig_pose(time_s).translation + glm::dvec3(4.0, 4.0, 0.5 * kWalkerSize_m.z - kRigHeight_m)};
-}
-
-std::optional<double> hit_box(const Pose& box, const glm::dvec3& size_m, const glm::dvec3& origin,
-                              const glm::dvec3& ray) {
-    const auto inside =
-        cross_box(inverse(box) * origin, glm::conjugate(box.rotation) * ray, -0.5 * size_m, 0.5 * size_m);
-    return inside && inside->enter > 0.0 ? std::optional(inside->enter) : std::nullopt;
-}
-
-/// Casts rays from 45 degrees left to `last_deg`, without a rolling shutter.
-RenderedScan cast_rays(double time_s, const Pose& rig_from_sensor, double last_deg,
-                       double ring_step_rad = 0.015) {
-    RenderedScan scan;
-    scan.time_s = time_s;
-    scan.world_from_sensor = rig_pose(time_s) * rig_from_sensor;
-    scan.image.rows = 40;
-    scan.image.columns = 900;
-    for (int r = 0; r < scan.image.rows; ++r)
-        for (int c = 0; c < scan.image.columns; ++c) {
-            const double azimuth = (45.0 - (45.0 - last_deg) * c / scan.image.columns) * kPi / 180.0,
-                         elevation = 0.1 - ring_step_rad * r;
-            const glm::dvec3 d(std::cos(elevation) * std::cos(azimuth),
-                               std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
-            const glm::dvec3 o = scan.world_from_sensor.translation,
-                             ray = scan.world_from_sensor.rotation * d;
-            double range_m = ray.z < 0.0 ? -o.z / ray.z : 0.0;
-            int instance = ray.z < 0.0 ? 0 : -1;
-            const auto meet = [&](const Pose& pose, const glm::dvec3& size_m, int number) {
-                const auto hit_m = hit_box(pose, size_m, o, ray);
-                if (!hit_m || (range_m > 0.0 && *hit_m > range_m)) return;
-                // A little inside, because floats would round points to the outside.
-                range_m = *hit_m + 1e-4;
-                instance = number;
-            };
-            meet(car_pose(time_s), kCarSize_m, 1);
-            meet(walker_pose(time_s), kWalkerSize_m, 2);
-            scan.image.direction.emplace_back(d);
-            scan.image.range_m.push_back(float(range_m));
-            scan.image.drop_prob.push_back(range_m > 0.0 ? 0.0f : 1.0f);
-            scan.instance.push_back(instance);
-            scan.ring.push_back(std::uint16_t(r));
-        }
-    scan.actor_views = {{"car", 3, 4}, {"walker", 1, 3}};
-    return test::complete(std::move(scan));
-}
-
-class Layouts : public TemporaryFolder {
-protected:
-    std::vector<DatasetSensor> sensors;
-    std::vector<double> times_s;
-    double ring_step_rad = 0.015;
-
-    void SetUp() override {
-        TemporaryFolder::SetUp();
-        ScanOutputOptions options;
-        options.instance_names = {"background", "car", "walker"};
-        options.actors = {{"car", "Car", kCarSize_m, {}}, {"walker", "Pedestrian", kWalkerSize_m, {}}};
-        options.time_shift_ns = 1'000'000'000'000;
-        for (int i = 0; i < kSequenceFrames; ++i) times_s.push_back(kStart_s + 0.5 * i);
-        for (const double t : {kStart_s - 1.0, kStart_s + 3.0}) {
-            options.actors[0].world_from_box.append(t, car_pose(t));
-            options.actors[1].world_from_box.append(t, walker_pose(t));
-        }
-        options.frame_id = "front";
-        sensors = {{options, Pose{}}, {options, kSecondMounting}};
-        sensors[1].options.frame_id = "second";
-        sensors[1].options.offset = kSecondMounting;
-    }
-    void write_sequence(const std::string& layout, std::uint64_t seed, bool replace = false,
-                        const DatasetView& view = {}, const RenderedScan* picture = nullptr) {
-        for (DatasetSensor& sensor : sensors) sensor.options.sample = seed;
-        DatasetSequenceWriter writer(folder, layout, sensors, times_s, replace, view);
-        for (const double t : times_s) {
-            std::vector<RenderedScan> scans{cast_rays(t, Pose{}, -45.0, ring_step_rad)};
-            if (sensors.size() > 1) scans.push_back(cast_rays(t, kSecondMounting, -300.0, ring_step_rad));
-            writer.write_scans(scans, picture);
-        }
-        writer.finish();
-    }
-};
-
-TEST_F(Layouts, KittiLabelsHaveTheClosedFormInTheCamera) {
-    sensors.resize(1);
-    write_sequence("kitti", 0);
-    std::istringstream file(read_contents(folder / "training/label_2/000001.txt"));
-    std::string type;
-    double v[14];
-    const auto read_line = [&] {
-        file >> type;
-        for (double& number : v) file >> number;
-    };
-    read_line();
-    EXPECT_EQ(type, "Car");
-    EXPECT_EQ(v[0], 0.0) << "truncated";
-    EXPECT_EQ(v[1], 1.0) << "three quarters are visible";
-    const double turn = -kYaw - 0.5 * kPi,
-                 expected[] = {kCarSize_m.z, kCarSize_m.y, kCarSize_m.x, -2.0, kRigHeight_m, 10.0};
-    for (int i = 0; i < 6; ++i) EXPECT_NEAR(v[7 + i], expected[i], 1e-4) << i;
-    EXPECT_NEAR(v[13], turn, 1e-4);
-    EXPECT_NEAR(v[2], turn - std::atan2(-2.0, 10.0), 1e-4) << "alpha";
-    read_line();
-    EXPECT_EQ(type, "Pedestrian");
-    EXPECT_NEAR(v[0], 0.5, 0.07) << "half is left of the field of view";
-    EXPECT_EQ(v[1], 2.0) << "a third is visible";
-}
+using namespace test;
 
 TEST_F(Layouts, UsersNameTheClasses) {
     sensors.resize(1);
@@ -169,29 +46,6 @@ TEST_F(Layouts, UsersNameTheClasses) {
     std::ofstream(folder / "list.json") << "[1]";
     EXPECT_THAT(get_data_error_message([&] { read_class_names(folder / "list.json"); }),
                 test::Names("list.json ... pairs"));
-}
-
-/// The loaders add half of the height along the z axis of the LiDAR.
-TEST_F(Layouts, KittiLoadersFindTheCentreForATiltedSensor) {
-    sensors.resize(1);
-    sensors[0].rig_from_sensor = {glm::angleAxis(0.05, glm::dvec3(0, 1, 0)), glm::dvec3(0.0)};
-    write_sequence("kitti", 0);
-    std::istringstream label(read_contents(folder / "training/label_2/000000.txt"));
-    std::string word;
-    for (int i = 0; i < 8; ++i) label >> word;
-    double height, width, length;
-    glm::dvec3 location;
-    label >> height >> width >> length >> location.x >> location.y >> location.z;
-    std::istringstream calibration(read_contents(folder / "training/calib/000000.txt"));
-    while (calibration >> word && word != "Tr_velo_to_cam:") {}
-    double m[12];
-    for (double& value : m) calibration >> value;
-    const glm::dmat3 rig_from_camera(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);  // transposed
-    const glm::dvec3 found = rig_from_camera * (location - glm::dvec3(m[3], m[7], m[11])) +
-                             glm::dvec3(0.0, 0.0, 0.5 * height),
-                     expected = sensors[0].rig_from_sensor * inverse(rig_pose(kStart_s)) *
-                                car_pose(kStart_s).translation;
-    EXPECT_LT(glm::distance(found, expected), 1e-3);
 }
 
 TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
@@ -425,12 +279,22 @@ void expect_points(const Scan& scan, const std::filesystem::path& file) {
 TEST_F(Layouts, ReaderFindsBoxesAndPointsOfKitti) {
     sensors.resize(1);
     ring_step_rad = kRingStep_rad;
+    const GeodeticPosition place{48.985, 8.394, 116.5};
+    sensors[0].options.georeference =
+        Georeference{place, rig_pose(times_s[0]).translation, local_tangent_crs(place)};
     for (const std::uint64_t seed : {1, 2}) write_sequence("kitti", seed);
     EXPECT_EQ(detect_kind(folder), "kitti_tracking");
     const DatasetOptions options{.sequence = "1", .max_range_m = 1000.0};
     const Log log = load_log(folder.string(), options);
     ASSERT_EQ(log.frames.size(), std::size_t(kSequenceFrames));
-    EXPECT_FALSE(log.has_poses) << "the layout stores none";
+    ASSERT_TRUE(log.georeference);
+    EXPECT_NEAR(log.georeference->position.latitude_deg, place.latitude_deg, 1e-9);
+    EXPECT_NEAR(log.georeference->position.longitude_deg, place.longitude_deg, 1e-9);
+    EXPECT_NEAR(log.georeference->position.height_m, place.height_m, 1e-5);
+    // Columns 0 and 1241 of camera 2, which looks to the left by 0.0002.
+    ASSERT_TRUE(log.labelled_azimuth);
+    EXPECT_NEAR(log.labelled_azimuth->left_rad, std::atan(609.5593 / 721.5377), 2e-3);
+    EXPECT_NEAR(log.labelled_azimuth->right_rad, -std::atan((1241 - 609.5593) / 721.5377), 2e-3);
     EXPECT_FALSE(log.rolling_shutter);
     ASSERT_EQ(log.boxes.size(), 2u);
     for (const BoxTrack& box : log.boxes) {
@@ -441,10 +305,18 @@ TEST_F(Layouts, ReaderFindsBoxesAndPointsOfKitti) {
         for (int i = 0; i < kSequenceFrames; ++i) {
             const double t = times_s[std::size_t(i)];
             const Pose expected = inverse(rig_pose(t)) * (is_car ? car_pose(t) : walker_pose(t)),
-                       found = box.world_from_box.pose[std::size_t(i)];
+                       found = inverse(log.world_from_vehicle.pose[std::size_t(i)]) *
+                               box.world_from_box.pose[std::size_t(i)];
             EXPECT_LT(glm::distance(found.translation, expected.translation), 1e-3);
             EXPECT_LT(glm::angle(glm::inverse(found.rotation) * expected.rotation), 1e-3);
         }
+    }
+    for (std::size_t i = 0; i < times_s.size(); ++i) {
+        const Pose first_from_rig = inverse(rig_pose(times_s[0])) * rig_pose(times_s[i]);
+        EXPECT_LT(glm::distance(log.world_from_vehicle.pose[i].translation + log.world_offset_m,
+                                first_from_rig.translation),
+                  1e-5);
+        EXPECT_NEAR(log.frames[i].time_s - log.frames[0].time_s, times_s[i] - times_s[0], 1e-6);
     }
     for (const Frame& frame : log.frames)
         expect_points(frame.scan,

@@ -59,8 +59,13 @@ void check_view_options(const DatasetViewOptions& options, const std::string& la
     if (layout.empty() && !(options.fov.empty() && options.classes.empty()))
         fail<UsageError>("found --fov or --classes without --layout, expected --layout, too");
     if (!options.classes.empty()) (void)read_class_names(options.classes);  // for its errors
-    if (!layout.empty() && !options.camera.empty() && !find_layout_camera(layout) && options.fov != "camera")
-        fail<UsageError>("--camera {}: the layout {} has no pictures", options.camera, layout);
+    const bool needs_camera = options.fov == "camera";
+    if (layout.empty() || find_layout_camera(layout)) return;
+    if (needs_camera && options.camera.empty())
+        fail<UsageError>("--fov camera: the layout {} has no camera, expected --camera", layout);
+    if (!needs_camera && !options.camera.empty())
+        fail<UsageError>("--camera {}: the layout {} has no pictures, expected --fov camera", options.camera,
+                         layout);
 }
 
 DatasetView choose_view(const DatasetViewOptions& options, const std::string& layout, const Log& log,
@@ -83,7 +88,7 @@ DatasetView choose_view(const DatasetViewOptions& options, const std::string& la
 }
 
 void note_labelled_sector(const DatasetView& view) {
-    if (!view.labelled || view.fov == DatasetFov::labels) return;
+    if (!exceeds_labels(view)) return;
     const AzimuthInterval& sector = view.labelled->azimuth;
     print_note(fmt::format(
         "the log has labels only from {:.1f} to {:.1f} degrees (left is positive), so objects elsewhere may "

@@ -26,20 +26,15 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-/// Reads the times of frames in seconds. Line i of the file contains the time of frame i.
-std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& numbers, Notes& notes) {
-    std::vector<double> time_s;
+/// Reads the times of frames in seconds, or returns those of a LiDAR of 10 Hz.
+std::vector<double> read_odometry_times(const fs::path& file, const std::vector<int>& numbers, Notes& notes) {
     if (!does_path_exist(file)) {
         notes.push_back("times.txt is missing, so frames are 0.1 s apart");
+        std::vector<double> time_s;
         for (const int number : numbers) time_s.push_back(0.1 * number);
         return time_s;
     }
-    for (const auto& [text, where] : read::read_frame_lines(file, numbers)) {
-        const auto seconds = parse_number(trim(text));
-        if (!seconds) fail("{}: found '{}', expected a time in seconds", where, quote(text));
-        time_s.push_back(*seconds);
-    }
-    return time_s;
+    return read_times_s(file, numbers);
 }
 
 /// Returns the file with the camera poses of an odometry log: poses.txt in its
@@ -137,7 +132,7 @@ Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
             folder.string());
     Log log;
     log.notes = {"this log has no labels"};
-    const std::vector<double> time_s = read_times_s(folder / "times.txt", frames, log.notes);
+    const std::vector<double> time_s = read_odometry_times(folder / "times.txt", frames, log.notes);
     std::vector<Pose> poses(frames.size());
     if (options.poses_file.empty()) poses = read_odometry_poses(folder, frames, log.notes);
     log.name = "KITTI odometry " + folder.filename().string();

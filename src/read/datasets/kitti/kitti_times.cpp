@@ -17,6 +17,7 @@
 #include <relidar/log/log_time.hpp>
 #include "base/files.hpp"
 #include "base/median.hpp"
+#include "read/scans/pose_files.hpp"
 
 namespace relidar::kitti {
 namespace fs = std::filesystem;
@@ -106,6 +107,16 @@ double find_period_s(const Stamps& starts_ns, const Stamps& ends_ns, const fs::p
 }
 
 }  // namespace
+
+std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& numbers) {
+    std::vector<double> time_s;
+    for (const auto& [text, where] : read::read_frame_lines(file, numbers)) {
+        const auto seconds = parse_number(trim(text));
+        if (!seconds) fail("{}: found '{}', expected a time in seconds", where, quote(text));
+        time_s.push_back(*seconds);
+    }
+    return time_s;
+}
 
 double read_sweep_s(const fs::path& drive) {
     const fs::path folder = drive / "velodyne_points", end_file = folder / "timestamps_end.txt";

@@ -122,21 +122,26 @@ std::vector<BoxTrack> read_track_labels(const fs::path& file, const fs::path& ca
 
 /// Creates a log with the frames of a folder.
 /// @param poses  [frames] of the LiDAR; empty if the dataset has none
+/// @param times  file with a time in seconds for each frame; may not exist
 Log make_log(const std::string& name, const fs::path& source, const std::vector<int>& frames,
-             const std::vector<Pose>& poses, const DatasetOptions& options) {
+             const std::vector<Pose>& poses, const DatasetOptions& options, const fs::path& times = {}) {
     Log log;
     log.name = name;
     log.source = source.string();
-    log.conventions = fmt::format(
-        "Sensor frame: x forward, y left, z up, in metres. The dataset has no times, so frames are {} s "
-        "apart.",
-        kFrameStep_s);
+    const bool has_times = !times.empty() && does_path_exist(times);
+    std::vector<double> time_s;
+    for (const int frame : frames) time_s.push_back(kFrameStep_s * frame);
+    if (has_times) time_s = read_times_s(times, frames);
+    log.conventions = "Sensor frame: x forward, y left, z up, in metres. ";
+    log.conventions += has_times
+                           ? "Times are the seconds in " + times.filename().string() + "."
+                           : fmt::format("The dataset has no times, so frames are {} s apart.", kFrameStep_s);
     log.has_poses = !poses.empty() || !options.poses_file.empty();
     if (!log.has_poses)
         log.notes.push_back(
             "the dataset has no poses; they must be estimated from the scans, like with dataset.poses=none");
     for (std::size_t i = 0; i < frames.size(); ++i)
-        add_frame(log, frames[i], kFrameStep_s * frames[i], poses.empty() ? Pose{} : poses[i]);
+        add_frame(log, frames[i], time_s[i], poses.empty() ? Pose{} : poses[i]);
     read::replace_poses(log, options);
     centre_log(log);
     return log;
@@ -185,7 +190,8 @@ Log load_kitti_tracking(const fs::path& folder, const DatasetOptions& options) {
         const auto [matrix, where] = find_line(calibration, {"Tr_imu_velo", "Tr_imu_to_velo"});
         track = read_oxts_lines(oxts, frames, inverse(read::parse_pose(matrix, where)));
     }
-    Log log = make_log("KITTI tracking " + sequence, folder, frames, track.poses, options);
+    Log log = make_log("KITTI tracking " + sequence, folder, frames, track.poses, options,
+                       split / "times" / (sequence + ".txt"));
     log.notes.insert(log.notes.begin(), notes.begin(), notes.end());
     note_missing_scans(log, points, frames, options.allow_missing_scans);
     if (has_oxts) log.georeference = track.place;

@@ -41,6 +41,9 @@ void note_missing_scans(Log& log, const std::filesystem::path& folder, const std
 std::vector<double> read_frame_times(const std::filesystem::path& time_file, const std::vector<int>& numbers,
                                      Log& log);
 
+/// Reads a file in which line i has the time of frame i in seconds.
+std::vector<double> read_times_s(const std::filesystem::path& file, const std::vector<int>& numbers);
+
 /// Returns the median duration of a sweep: the time in timestamps_end.txt minus the time
 /// in timestamps_start.txt. Uses all lines that both files have.
 double read_sweep_s(const std::filesystem::path& drive);

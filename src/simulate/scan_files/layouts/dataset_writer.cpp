@@ -155,6 +155,10 @@ Json describe_sequence(const std::vector<DatasetSensor>& sensors, const DatasetV
                  {"times_s", times_s}};
     if (view.camera) json["camera"] = describe_camera(*view.camera, view.has_pictures);
     json["fov"] = name_of(view.fov);
+    if (view.labelled)
+        json["labels are complete"] = fmt::format(
+            "from {:.1f} to {:.1f} degrees of azimuth, left is positive",
+            view.labelled->azimuth.right_rad * 180.0 / kPi, view.labelled->azimuth.left_rad * 180.0 / kPi);
     if (!view.class_names.empty()) json["classes"] = view.class_names;
     return json;
 }
@@ -182,6 +186,9 @@ void write_readme(const fs::path& folder, const DatasetIndex& index) {
         "Written by relidar {} (`relidar render --layout {}`). The points are simulated from the recorded "
         "logs below, so the licence of each log applies. Objects have a box if a sensor sees them and a "
         "point is in the box. All points of a frame have the same reference time.\n\n"
+        "The fov of a sequence is all, camera (points and objects in the picture), or labels (where the "
+        "labels of the log are complete). With all, objects outside the picture have the image box "
+        "0 0 0 0 in the layout kitti, and objects where labels are not complete may lack a box.\n\n"
         "Validation split: the sequences 1, 6, 11, ..., and the last fifth of sequence 0 if the layout lists "
         "frames. So a frame never changes its split when sequences are added.\n{}",
         RELIDAR_VERSION, index.layout, index.layout == "nuscenes" ? kNuscenesNotes : "");
