@@ -60,6 +60,8 @@ struct DatasetView {
     std::optional<LabelledSector> labelled = {};  ///< empty: all round
     ClassNames class_names = {};
 };
+/// Returns true if frames have points where the labels of the log are not complete.
+bool exceeds_labels(const DatasetView& view);
 /// Returns the default camera of a layout, or nothing for a layout without pictures.
 std::optional<Camera> find_layout_camera(const std::string& layout);
 

@@ -55,6 +55,7 @@ inline Run make_example_run(const std::filesystem::path& folder) {
     s.source = "somewhere";
     s.conventions = "none";
     s.start_unix_ns = 1317042145594360375;
+    s.labelled_azimuth = {-2.0 / 3.0, 0.7};
     s.world_offset_m = {1e6 / 3.0, -5e6 / 7.0, 0.1};
     s.georeference = {{49.1 / 3.0, -8.4 / 7.0, 116.4},
                       {1.0 / 3.0, 2e5 / 7.0, 3.0},

@@ -185,6 +185,7 @@ TEST_F(RunFolder, RoundTripsExactly) {
     EXPECT_EQ(a.source, b.source);
     EXPECT_EQ(a.conventions, b.conventions);
     EXPECT_EQ(a.start_unix_ns, b.start_unix_ns);
+    EXPECT_EQ(a.labelled_azimuth, b.labelled_azimuth);
     EXPECT_EQ(a.world_offset_m, b.world_offset_m);
     ASSERT_TRUE(a.georeference && b.georeference);
     EXPECT_TRUE(members(*a.georeference) == members(*b.georeference));
@@ -381,7 +382,8 @@ TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json scene_json = Json::parse(scene);
     // keys for human readers, members with default values, and edits
     const std::vector<std::string> optional_prefixes = {
-        "/relidar", "/units", "/conventions", "/lidars/0/sensor/spinning/", "/edits", "/start_unix_ns"};
+        "/relidar", "/units",         "/conventions",         "/lidars/0/sensor/spinning/",
+        "/edits",   "/start_unix_ns", "/labelled_azimuth_rad"};
     int n_removed_fields = 0;
     const Json flat = scene_json.flatten();
     for (const auto& [pointer, value] : flat.items()) {

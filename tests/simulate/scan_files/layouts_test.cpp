@@ -14,157 +14,16 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/read/dataset.hpp>
-#include <relidar/simulate/dataset_layouts.hpp>
 
 #include "base/codecs/npy.hpp"
+#include "layouts_fixture.hpp"
 #include "log/classes/dataset_classes.hpp"
-#include "simulate/scan_files/layouts/layout.hpp"
 #include "support/names.hpp"
-#include "two_boxes.hpp"
 
 namespace relidar {
 namespace {
 
-using namespace two_boxes;
-
-/// A camera at the origin of the rig that looks forward.
-Camera forward_camera() {
-    return {"forward", 100.0, 100.0, 100.0, 80.0, 201, 161, {glm::dquat(0.5, -0.5, 0.5, -0.5), {}}};
-}
-
-void expect_box(const std::optional<layouts::ImageBox>& box, const std::array<double, 4>& expected_px,
-                double truncated) {
-    ASSERT_TRUE(box);
-    const std::array found_px{box->min_px.x, box->min_px.y, box->max_px.x, box->max_px.y};
-    for (std::size_t i = 0; i < 4; ++i) EXPECT_NEAR(found_px[i], expected_px[i], 1e-3) << i;
-    EXPECT_NEAR(box->truncated, truncated, 1e-9);
-}
-
-TEST(ImageBox, HasTheCornersOfTheBoxInFrontOfTheCamera) {
-    const Camera camera = forward_camera();
-    const auto project = [&](const glm::dvec3& centre_m, const glm::dvec3& size_m) {
-        return layouts::project_box(camera, {glm::dquat(1, 0, 0, 0), centre_m}, size_m);
-    };
-    expect_box(project({0, 0, 5}, {2, 2, 2}), {75, 55, 125, 105}, 0.0);
-    expect_box(project({-5, 1, 5}, {2, 2, 0}), {0, 80, 20, 120}, 0.5);      // symmetric to column 0
-    expect_box(project({5, 4, 5}, {2, 2, 0}), {180, 140, 200, 160}, 0.75);  // in a corner
-    // Beside the camera, from 2 m behind to 2 m before it. Only 1.9 m are in front of the
-    // near plane at 0.1 m, where the box reaches to column 3100 and row 1580.
-    const double share = 1.0 - 50.0 * 55.0 / (2950.0 * 1475.0);
-    expect_box(project({2, 1, 0}, {2, 1, 4}), {150, 105, 200, 160}, share);
-    EXPECT_FALSE(project({0, 0, -5}, {2, 2, 2})) << "behind the camera";
-    EXPECT_FALSE(project({-8, 0, 5}, {2, 2, 2})) << "left of the picture";
-}
-
-/// Reads a label: its type, and all numbers.
-struct Label {
-    std::string type;
-    std::vector<double> v;
-};
-std::vector<Label> read_labels(const std::filesystem::path& file) {
-    std::istringstream lines(read_contents(file));
-    std::vector<Label> labels;
-    for (std::string line; std::getline(lines, line);) {
-        std::istringstream words(line);
-        Label& label = labels.emplace_back();
-        words >> label.type;
-        for (double number; words >> number;) label.v.push_back(number);
-    }
-    return labels;
-}
-
-TEST_F(Layouts, KittiLabelsHaveTheClosedFormInTheCamera) {
-    sensors.resize(1);
-    view.camera = forward_camera();
-    write_sequence("kitti", 0);
-    const std::vector<Label> labels = read_labels(folder / "training/label_2/000001.txt");
-    ASSERT_EQ(labels.size(), 2u);
-    ASSERT_EQ(labels[0].v.size(), 14u);
-    const std::vector<double>& v = labels[0].v;
-    EXPECT_EQ(labels[0].type, "Car");
-    EXPECT_EQ(v[0], 0.0) << "truncated";
-    EXPECT_EQ(v[1], 1.0) << "three quarters are visible";
-    const double turn = -kYaw - 0.5 * kPi,
-                 expected[] = {kCarSize_m.z, kCarSize_m.y, kCarSize_m.x, -2.0, kRigHeight_m, 10.0};
-    for (std::size_t i = 0; i < 6; ++i) EXPECT_NEAR(v[7 + i], expected[i], 1e-4) << i;
-    EXPECT_NEAR(v[13], turn, 1e-4);
-    EXPECT_NEAR(v[2], turn - std::atan2(-2.0, 10.0), 1e-4) << "alpha";
-    // In the frame of the car, the corner nearest to the camera is 2 m behind the centre
-    // and 1 m to the left.
-    const double nearest_m = 10.0 - 2.0 * std::cos(kYaw) - std::sin(kYaw);
-    EXPECT_NEAR(v[6], 80.0 + 100.0 * kRigHeight_m / nearest_m, 0.005) << "lowest row";
-    EXPECT_EQ(labels[1].type, "Pedestrian");
-    // Seen from the rig, the walker is symmetric to an azimuth of 45 degrees, column 0.
-    const double half_width_rad = std::atan(0.3 / (4.0 * std::sqrt(2.0) - 0.3)),
-                 left_px = 100.0 * std::tan(0.25 * kPi + half_width_rad) - 100.0,
-                 right_px = 100.0 - 100.0 * std::tan(0.25 * kPi - half_width_rad);
-    EXPECT_EQ(labels[1].v[3], 0.0);
-    EXPECT_NEAR(labels[1].v[5], right_px, 0.005);
-    EXPECT_NEAR(labels[1].v[0], left_px / (left_px + right_px), 0.005) << "truncated";
-    EXPECT_EQ(labels[1].v[1], 2.0) << "a third is visible";
-}
-
-TEST_F(Layouts, ExtentOfAFrameIsThePictureOrTheLabelledSector) {
-    sensors.resize(1);
-    // No ray hits this car, so it may be anywhere behind others.
-    sensors[0].options.actors.push_back({"hidden", "Car", kCarSize_m, {}});
-    for (const double t : {kStart_s - 1.0, kStart_s + 3.0})
-        sensors[0].options.actors.back().world_from_box.append(
-            t, {glm::dquat(1, 0, 0, 0), rig_pose(t).translation + glm::dvec3(20.0, -3.0, 0.0)});
-    LabelledSector sector{{-0.2, 0.5}, {}};
-    for (const double t : times_s) sector.dataset_from_lidar.append(t, rig_pose(t));
-    view.labelled = sector;
-    const Camera kitti = kitti_camera();
-    const auto count_outside = [&](std::size_t frame, const auto& is_inside) {
-        const std::string bytes = read_contents(folder / fmt::format("training/velodyne/{:06}.bin", frame));
-        std::size_t n_outside = 0;
-        for (std::size_t at = 0; at < bytes.size(); at += 16) {
-            glm::vec3 point;
-            std::memcpy(&point, bytes.data() + at, sizeof point);
-            n_outside += !is_inside(glm::dvec3(point));
-        }
-        return std::pair(n_outside, bytes.size() / 16);
-    };
-    const auto in_sector = [](const glm::dvec3& p) {
-        return std::atan2(p.y, p.x) > -0.2001 && std::atan2(p.y, p.x) < 0.5001;
-    };
-    const auto in_picture = [&](const glm::dvec3& p) {
-        const auto pixel = kitti.project(inverse(kitti.rig_from_camera) * p);
-        return pixel && pixel->x > -0.01 && pixel->y > -0.01 && pixel->x < 1242.01 && pixel->y < 375.01;
-    };
-    std::size_t n_all = 0, frame = 0;
-    for (const DatasetFov fov : {DatasetFov::all, DatasetFov::camera, DatasetFov::labels}) {
-        view.fov = fov;
-        write_sequence("kitti", 0);
-        const std::vector<Label> labels =
-            read_labels(folder / fmt::format("training/label_2/{:06}.txt", frame));
-        const auto of_type = [&](const std::string& type) {
-            return std::ranges::count(labels, type, &Label::type);
-        };
-        EXPECT_EQ(of_type("Car"), 1);
-        EXPECT_EQ(of_type("Pedestrian"), fov == DatasetFov::all) << "at 45 degrees";
-        // The hidden car, and the picture to the left and to the right of the sector.
-        ASSERT_EQ(of_type("DontCare"), 3);
-        const std::vector<Label> last(labels.end() - 3, labels.end());
-        EXPECT_NEAR(last[0].v[3], last[0].v[5], 200.0);
-        const double left_px = 609.56 - 721.54 * std::tan(0.5), right_px = 609.56 + 721.54 * std::tan(0.2);
-        EXPECT_EQ(last[1].v[3], 0.0);
-        EXPECT_NEAR(last[1].v[5], left_px, 2.0);
-        EXPECT_NEAR(last[2].v[3], right_px, 2.0);
-        EXPECT_EQ(last[2].v[5], 1241.0);
-        EXPECT_EQ(last[2].v[6], 374.0);
-        if (fov == DatasetFov::all) {
-            for (std::size_t i = 3; i < 7; ++i) EXPECT_EQ(labels[1].v[i], 0.0) << "not in the picture";
-        }
-        const auto [n_outside_sector, n] = count_outside(frame, in_sector);
-        EXPECT_EQ(n_outside_sector == 0, fov == DatasetFov::labels);
-        EXPECT_EQ(count_outside(frame, in_picture).first == 0, fov == DatasetFov::camera);
-        if (fov == DatasetFov::all) n_all = n;
-        EXPECT_EQ(n < n_all, fov != DatasetFov::all);
-        EXPECT_GT(n, n_all / 5);
-        frame += kSequenceFrames;
-    }
-}
+using namespace test;
 
 TEST_F(Layouts, UsersNameTheClasses) {
     sensors.resize(1);
@@ -189,29 +48,6 @@ TEST_F(Layouts, UsersNameTheClasses) {
                 test::Names("list.json ... pairs"));
 }
 
-/// The loaders add half of the height along the z axis of the LiDAR.
-TEST_F(Layouts, KittiLoadersFindTheCentreForATiltedSensor) {
-    sensors.resize(1);
-    sensors[0].rig_from_sensor = {glm::angleAxis(0.05, glm::dvec3(0, 1, 0)), glm::dvec3(0.0)};
-    write_sequence("kitti", 0);
-    std::istringstream label(read_contents(folder / "training/label_2/000000.txt"));
-    std::string word;
-    for (int i = 0; i < 8; ++i) label >> word;
-    double height, width, length;
-    glm::dvec3 location;
-    label >> height >> width >> length >> location.x >> location.y >> location.z;
-    std::istringstream calibration(read_contents(folder / "training/calib/000000.txt"));
-    while (calibration >> word && word != "Tr_velo_to_cam:") {}
-    double m[12];
-    for (double& value : m) calibration >> value;
-    const glm::dmat3 rig_from_camera(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);  // transposed
-    const glm::dvec3 found = rig_from_camera * (location - glm::dvec3(m[3], m[7], m[11])) +
-                             glm::dvec3(0.0, 0.0, 0.5 * height),
-                     expected = sensors[0].rig_from_sensor * inverse(rig_pose(kStart_s)) *
-                                car_pose(kStart_s).translation;
-    EXPECT_LT(glm::distance(found, expected), 1e-3);
-}
-
 TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
     for (const std::uint64_t seed : {1, 2}) write_sequence("kitti", seed);
     EXPECT_THROW(write_sequence("kitti", 2), UsageError) << "the same settings";
@@ -228,6 +64,175 @@ TEST_F(Layouts, SequencesAreAppendedAndReplaced) {
     for (DatasetSensor& sensor : sensors) sensor.description = "other rays";
     write_sequence("kitti", 1);
     EXPECT_TRUE(std::filesystem::exists(folder / "training/velodyne/000008.bin")) << "another path or sensor";
+}
+
+TEST_F(Layouts, ReaderFindsBoxesAndPointsOfNuscenes) {
+    for (const std::uint64_t seed : {1, 2}) write_sequence("nuscenes", seed);
+    write_sequence("nuscenes", 1, true);
+    const Log first = load_log("nuscenes:" + folder.string(), {});
+    EXPECT_TRUE(first.name.ends_with("scene-0019")) << "a replaced scene keeps its place";
+    EXPECT_EQ(first.frames.size(), 2u * (kSequenceFrames - 1)) << "the last frame is in the validation split";
+    const Log log = load_log("nuscenes:" + folder.string(), {.sequence = "scene-0013"});
+    ASSERT_EQ(log.frames.size(), 2u * kSequenceFrames);
+    ASSERT_EQ(log.boxes.size(), 2u);
+    EXPECT_FALSE(log.rolling_shutter);
+    for (const BoxTrack& box : log.boxes) {
+        const bool is_car = box.category == "vehicle.car";
+        EXPECT_EQ(box.category, is_car ? "vehicle.car" : "human.pedestrian.adult");
+        EXPECT_LT(glm::distance(box.size_m, is_car ? kCarSize_m : kWalkerSize_m), 1e-9);
+        for (int i = 0; i < kSequenceFrames; ++i) {
+            const double t = times_s[std::size_t(i)];
+            const Pose expected = is_car ? car_pose(t) : walker_pose(t),
+                       found = box.world_from_box.pose[std::size_t(i)];
+            EXPECT_LT(glm::distance(found.translation + log.world_offset_m, expected.translation), 1e-6);
+        }
+    }
+    for (const Frame& frame : log.frames) {
+        EXPECT_EQ(std::ranges::count(frame.scan.rays.time_offset_s, 0.0f),
+                  std::ssize(frame.scan.rays.time_offset_s));
+        const Lidar& lidar = log.lidar_of(frame);
+        const Pose world_from_lidar =
+            log.world_from_vehicle.pose[log.find_pose_index(frame)] * lidar.vehicle_from_sensor;
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 97) {
+            if (!(frame.scan.range_m[i] > 0.0f)) continue;
+            const glm::dvec3 point =
+                world_from_lidar * glm::dvec3(frame.scan.return_point(i)) + log.world_offset_m;
+            if (point.z >= 0.01) continue;
+            EXPECT_NEAR(point.z, 0.0, 2e-3) << "the ground is level";
+        }
+    }
+    std::ofstream(folder / "v1.0-trainval/sample.json") << "[{";
+    EXPECT_THROW(write_sequence("nuscenes", 3), DataError) << "a truncated table";
+}
+
+/// Compares with the lists of create_splits_scenes() of the development kit.
+TEST_F(Layouts, NuscenesScenesHaveOfficialNamesOfTheirSplit) {
+    using nlohmann::json;
+    const auto read_json = [&](const std::string& name) {
+        return json::parse(read_contents(folder / "v1.0-trainval" / (name + ".json")));
+    };
+    write_sequence("nuscenes", 0);
+    EXPECT_EQ(read_json("splits"), json({{"train", {"scene-0019"}}, {"val", {"scene-0012"}}}));
+    for (const std::uint64_t seed : {1, 2, 3, 4, 5, 6}) write_sequence("nuscenes", seed);
+    const json train = {"scene-0019", "scene-0020", "scene-0021", "scene-0022", "scene-0023"};
+    EXPECT_EQ(read_json("splits"),
+              json({{"train", train}, {"val", {"scene-0012", "scene-0013", "scene-0014"}}}));
+    std::map<std::string, std::string> scene_of;
+    for (const json& sample : read_json("sample")) scene_of[sample["token"]] = sample["scene_token"];
+    for (const json& scene : read_json("scene")) {
+        EXPECT_EQ(scene["nbr_samples"], scene["name"] == "scene-0019"   ? kSequenceFrames - 1
+                                        : scene["name"] == "scene-0012" ? 1
+                                                                        : kSequenceFrames);
+        EXPECT_EQ(scene_of[scene["first_sample_token"]], scene["token"]);
+        EXPECT_EQ(scene_of[scene["last_sample_token"]], scene["token"]);
+    }
+    for (const char* table : {"sample", "sample_data", "sample_annotation"}) {
+        const json records = read_json(table);
+        const std::string sample = table == std::string("sample") ? "token" : "sample_token";
+        std::map<std::string, std::string> scene_of_record;
+        for (const json& record : records) scene_of_record[record["token"]] = scene_of[record[sample]];
+        for (const json& record : records)
+            if (const std::string next = record["next"]; !next.empty()) {
+                EXPECT_EQ(scene_of_record[next], scene_of_record[record["token"]]) << table;
+            }
+    }
+}
+
+Pose parse_record(const nlohmann::json& record) {
+    const auto& q = record["rotation"];
+    const auto& t = record["translation"];
+    return {{q[0], q[1], q[2], q[3]}, {t[0], t[1], t[2]}};
+}
+
+/// Projects the centre of the car with the tables, as the development kit does.
+TEST_F(Layouts, NuscenesCameraSeesTheCarAtItsPixel) {
+    using nlohmann::json;
+    const DatasetView view{
+        .camera = Camera{.name = "front",
+                         .focal_x_px = 500.0,
+                         .focal_y_px = 510.0,
+                         .centre_x_px = 330.0,
+                         .centre_y_px = 170.0,
+                         .columns = 640,
+                         .rows = 360,
+                         .rig_from_camera = {glm::dquat(0.5, -0.5, 0.5, -0.5), {0.3, 0.1, -0.2}}}};
+    for (DatasetSensor& sensor : sensors)
+        sensor.options.vehicle_from_lidar = {glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {1.0, 0.2, 1.5}};
+    RenderedScan picture;
+    picture.image.rows = 360;
+    picture.image.columns = 640;
+    picture.image.range_m.assign(640 * 360, 5.0f);
+    picture = test::complete(std::move(picture));
+    write_sequence("nuscenes", 0, false, view);
+    write_sequence("nuscenes", 1, false, view, &picture);
+    std::map<std::string, std::map<std::string, json>> tables;
+    for (const char* table : {"sensor", "calibrated_sensor", "ego_pose", "sample_data", "sample_annotation"})
+        for (const json& record :
+             json::parse(read_contents(folder / "v1.0-trainval" / (std::string(table) + ".json"))))
+            tables[table][record["token"]] = record;
+    std::map<std::string, std::set<std::string>> files;  // by channel
+    int n_projected = 0;
+    for (const auto& [token, data] : tables["sample_data"]) {
+        const json &mount = tables["calibrated_sensor"].at(data["calibrated_sensor_token"]),
+                   &sensor = tables["sensor"].at(mount["sensor_token"]);
+        const std::string file = data["filename"];
+        if (sensor["modality"] != "camera") continue;
+        files[sensor["channel"]].insert(file);
+        EXPECT_EQ(data["width"], 640);
+        EXPECT_EQ(data["height"], 360);
+        EXPECT_TRUE(std::filesystem::exists(folder / file)) << file;
+        if (sensor["channel"] != "CAM_FRONT") continue;
+        const Pose world_from_camera =
+            parse_record(tables["ego_pose"].at(data["ego_pose_token"])) * parse_record(mount);
+        for (const auto& [box_token, box] : tables["sample_annotation"])
+            if (box["sample_token"] == data["sample_token"] && box["size"][1] == kCarSize_m.x) {
+                const glm::dvec3 centre = inverse(world_from_camera) * parse_record(box).translation;
+                const auto& k = mount["camera_intrinsic"];
+                const auto pixel = [&](int row) {
+                    return (k[row][0].get<double>() * centre.x + k[row][1].get<double>() * centre.y) /
+                               centre.z +
+                           k[row][2].get<double>();
+                };
+                // The car is 10 m before, 2 m left of and 1.25 m below the rig.
+                EXPECT_NEAR(pixel(0), 330.0 - 500.0 * 1.9 / 9.7, 1e-6);
+                EXPECT_NEAR(pixel(1), 170.0 + 510.0 * 1.05 / 9.7, 1e-6);
+                ++n_projected;
+            }
+    }
+    EXPECT_EQ(n_projected, 2 * kSequenceFrames);
+    EXPECT_EQ(files.size(), 6u) << "mmdet3d reads six channels";
+    EXPECT_EQ(files["CAM_FRONT"].size(), 1u + kSequenceFrames) << "a black picture, and one for each frame";
+    EXPECT_EQ(files["CAM_BACK"].size(), 2u);
+    EXPECT_NE(read_contents(folder / *files["CAM_FRONT"].begin()),
+              read_contents(folder / *files["CAM_FRONT"].rbegin()));
+}
+
+/// OpenPCDet fails on categories that nuScenes does not have.
+TEST_F(Layouts, NuscenesHasOnlyItsCategories) {
+    for (DatasetSensor& sensor : sensors) sensor.options.actors[0].category = "Tram";
+    write_sequence("nuscenes", 0);
+    std::set<std::string> found;
+    for (const auto& record : nlohmann::json::parse(read_contents(folder / "v1.0-trainval/category.json")))
+        found.insert(record.at("name").get<std::string>());
+    EXPECT_EQ(found, (std::set<std::string>{"human.pedestrian.adult", "movable_object.debris"}));
+}
+
+TEST_F(Layouts, CustomFilesHaveTheSamePointsAndTheBoxesOfTheRig) {
+    write_sequence("custom", 0);
+    EXPECT_EQ(read_contents(folder / "labels/000001.txt"),
+              "10.0000 2.0000 -1.2500 4.0000 2.0000 1.5000 0.4000 Car\n"
+              "4.0000 4.0000 -1.1000 0.6000 0.6000 1.8000 0.7854 Pedestrian\n");
+    const std::string bin = read_contents(folder / "points/000001.bin");
+    const NamedArray npy = codecs::parse_npy("points", read_contents(folder / "points/000001.npy"));
+    EXPECT_EQ(npy.shape, (ArrayShape{bin.size() / 16, 4}));
+    EXPECT_EQ(npy.dtype, "f4");
+    ASSERT_EQ(npy.bytes.size(), bin.size());
+    EXPECT_EQ(std::memcmp(npy.bytes.data(), bin.data(), bin.size()), 0);
+    for (DatasetSensor& sensor : sensors) sensor.options.actors.clear();
+    write_sequence("custom", 1);
+    EXPECT_EQ(read_contents(folder / "labels/000004.txt"), "");
+    EXPECT_EQ(read_contents(folder / "ImageSets/train.txt"), "000000\n000001\n");
+    EXPECT_EQ(read_contents(folder / "ImageSets/val.txt"), "000002\n") << "frames without boxes";
 }
 
 /// With the usual step, the farthest ring is at 400.00 m, which readers take for rays

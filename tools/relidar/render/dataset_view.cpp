@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/log/camera.hpp>
 #include "base/fail.hpp"
 #include "console.hpp"
 #include "options.hpp"
@@ -89,15 +88,8 @@ DatasetView choose_view(const DatasetViewOptions& options, const std::string& la
 }
 
 void note_labelled_sector(const DatasetView& view) {
-    constexpr double kTolerance_rad = 0.02;
-    if (!view.labelled || view.fov == DatasetFov::labels) return;
+    if (!exceeds_labels(view)) return;
     const AzimuthInterval& sector = view.labelled->azimuth;
-    if (view.fov == DatasetFov::camera) {
-        const AzimuthInterval seen = view_azimuths(*view.camera);
-        if (seen.right_rad > sector.right_rad - kTolerance_rad &&
-            seen.left_rad < sector.left_rad + kTolerance_rad)
-            return;
-    }
     print_note(fmt::format(
         "the log has labels only from {:.1f} to {:.1f} degrees (left is positive), so objects elsewhere may "
         "lack boxes; --fov labels writes only this sector",

@@ -187,8 +187,8 @@ void write_readme(const fs::path& folder, const DatasetIndex& index) {
         "logs below, so the licence of each log applies. Objects have a box if a sensor sees them and a "
         "point is in the box. All points of a frame have the same reference time.\n\n"
         "The fov of a sequence is all, camera (points and objects in the picture), or labels (where the "
-        "labels of the log are complete). With all, objects outside the picture have the image box 0 0 0 0 "
-        "in the layout kitti, and objects where labels are not complete may lack a box.\n\n"
+        "labels of the log are complete). With all, objects outside the picture have the image box "
+        "0 0 0 0 in the layout kitti, and objects where labels are not complete may lack a box.\n\n"
         "Validation split: the sequences 1, 6, 11, ..., and the last fifth of sequence 0 if the layout lists "
         "frames. So a frame never changes its split when sequences are added.\n{}",
         RELIDAR_VERSION, index.layout, index.layout == "nuscenes" ? kNuscenesNotes : "");

@@ -126,3 +126,17 @@ std::vector<ImageBox> FrameView::unlabelled_parts() const {
 }
 
 }  // namespace relidar::layouts
+
+namespace relidar {
+
+bool exceeds_labels(const DatasetView& view) {
+    // The azimuths of a camera are those of points far away.
+    constexpr double kTolerance_rad = 0.02;
+    if (!view.labelled || view.fov == DatasetFov::labels) return false;
+    if (view.fov == DatasetFov::all) return true;
+    const AzimuthInterval seen = view_azimuths(*view.camera), &sector = view.labelled->azimuth;
+    return seen.right_rad < sector.right_rad - kTolerance_rad ||
+           seen.left_rad > sector.left_rad + kTolerance_rad;
+}
+
+}  // namespace relidar

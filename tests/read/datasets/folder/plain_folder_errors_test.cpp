@@ -85,6 +85,7 @@ TEST_F(FolderDamage, OfTheHead) {
     expect_head(replace_first(head, "10", "0"), "rate_hz: found 0");
     expect_head(with(R"("time_unit": "sec")"), R"(time_unit ... "sec" ... s, ms, us, ns)");
     expect_head(with(R"("start_unix_ns": -1)"), "start_unix_ns: found -1");
+    expect_head(with(R"("labelled_azimuth_rad": [0.5, -0.5])"), "labelled_azimuth_rad: found another order");
     expect_head(with(R"("lidars": [])"), "lidars ... LiDAR");
     expect_head(with_lidar(R"("sensor": "VLP-61")"), "VLP-16");
     expect_head(with_lidar(R"("sensor": "missing.csv")"), "missing.csv");

@@ -25,6 +25,7 @@ Log make_rich_street() {
     test::add_second_returns(street, 7, 2.5f, 77.0f);
     street.notes = {"a first note", {"speed", -1, "found again by each load"}, "a second one"};
     street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // map coordinates
+    street.labelled_azimuth = {-0.7, 0.6};
     street.georeference = {{49.01, 8.42, 112.9}, {457123.4, 5428765.3, 112.9}, "EPSG:32632"};
     return street;
 }
@@ -42,6 +43,7 @@ void expect_same_log(const Log& log, const Log& truth) {
     EXPECT_EQ(log.name, truth.name);
     EXPECT_EQ(log.conventions, truth.conventions);
     EXPECT_EQ(log.start_unix_ns, truth.start_unix_ns);
+    EXPECT_EQ(log.labelled_azimuth, truth.labelled_azimuth);
     const auto list_saved_notes = [](Notes notes) {
         std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
         return notes;

@@ -102,6 +102,10 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // across midnight and New Year
     EXPECT_EQ(log.start_unix_ns, 1325375999850000000) << "2011-12-31 23:59:59.85";
     EXPECT_THAT(log.conventions, testing::HasSubstr("zone"));
+    // The view of camera 2: f = 721.54, centre 609.56 of 1242 columns.
+    ASSERT_TRUE(log.labelled_azimuth);
+    EXPECT_NEAR(log.labelled_azimuth->left_rad, std::atan(609.56 / 721.54), 2e-3);
+    EXPECT_NEAR(log.labelled_azimuth->right_rad, -std::atan((1241 - 609.56) / 721.54), 2e-3);
     const PoseTrack& track = log.world_from_vehicle;
     EXPECT_NEAR(track.pose[1].translation.x, 0.0, 1e-9);
     EXPECT_LT(glm::distance(track.pose[2].translation, track.pose[1].translation + glm::dvec3(kStep_m, 0, 0)),
@@ -281,6 +285,7 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
     log = drive.load(options);
     EXPECT_THAT(log.notes, testing::Contains(test::Names("tracklet_labels.xml ... missing")));
     EXPECT_TRUE(log.boxes.empty());
+    EXPECT_FALSE(log.labelled_azimuth);
 }
 
 class KittiRawReal : public testing::Test {

@@ -1,6 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exact scans of two boxes on level ground, which tests write as data sets.
+// Exact scans of two boxes on level ground, and data sets of them.
 #pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
 
 #include <relidar/simulate/dataset_layouts.hpp>
 
@@ -8,7 +14,7 @@
 #include "../plates.hpp"
 #include "base/geometry/ray_box.hpp"
 
-namespace relidar::two_boxes {
+namespace relidar::test {
 
 inline constexpr double kRigHeight_m = 2.0, kStart_s = 100.0, kYaw = 0.4;
 inline constexpr int kSequenceFrames = 3;
@@ -71,14 +77,13 @@ inline RenderedScan cast_rays(double time_s, const Pose& rig_from_sensor, double
             scan.ring.push_back(std::uint16_t(r));
         }
     scan.actor_views = {{"car", 3, 4}, {"walker", 1, 3}};
-    return test::complete(std::move(scan));
+    return complete(std::move(scan));
 }
 
 class Layouts : public TemporaryFolder {
 protected:
     std::vector<DatasetSensor> sensors;
     std::vector<double> times_s;
-    DatasetView view;
     double ring_step_rad = 0.015;
 
     void SetUp() override {
@@ -98,7 +103,7 @@ protected:
         sensors[1].options.offset = kSecondMounting;
     }
     void write_sequence(const std::string& layout, std::uint64_t seed, bool replace = false,
-                        const RenderedScan* picture = nullptr) {
+                        const DatasetView& view = {}, const RenderedScan* picture = nullptr) {
         for (DatasetSensor& sensor : sensors) sensor.options.sample = seed;
         DatasetSequenceWriter writer(folder, layout, sensors, times_s, replace, view);
         for (const double t : times_s) {
@@ -110,4 +115,4 @@ protected:
     }
 };
 
-}  // namespace relidar::two_boxes
+}  // namespace relidar::test
