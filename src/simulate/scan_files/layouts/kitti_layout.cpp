@@ -69,7 +69,7 @@ void share_file(const fs::path& file, const fs::path& other) {
     const fs::path link = other.string() + ".new";
     fs::remove(link, failed);
     fs::create_hard_link(file, link, failed);
-    if (failed) return write_bytes(other, read_text_file(file));
+    if (failed) return write_bytes(other, read_file(file));
     fs::rename(link, other);
 }
 
