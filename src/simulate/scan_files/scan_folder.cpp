@@ -9,6 +9,7 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/base/files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
 #include "base/fail.hpp"
@@ -80,12 +81,15 @@ Json matrix_json(const Pose& pose) {
 }
 
 /// Returns a JSON object with the value of each setting. Numbers and booleans keep their
-/// type. Other values become strings.
+/// type. Other values become strings, and paths become names.
 Json settings_json(const Config& config) {
     Json json = Json::object();
     for (const ConfigKey& key : list_config_keys(config)) {
         const Json value = Json::parse(key.value, nullptr, false);
-        json[key.key] = value.is_number() || value.is_boolean() ? value : Json(key.value);
+        const bool is_path = key.key == "dataset.path" || key.value.starts_with('/');
+        json[key.key] = value.is_number() || value.is_boolean()
+                            ? value
+                            : Json(is_path ? file_name_of(key.value) : key.value);
     }
     return json;
 }
@@ -160,7 +164,7 @@ void ScanFolderWriter::write_summary() const {
         {"version", 1},
         {"relidar", RELIDAR_VERSION},
         {"run", format_.run},
-        {"dataset", config.dataset.path},
+        {"dataset", file_name_of(config.dataset.path)},
         {"sensor",
          {{"name", format_.sensor},
           {"min_range_m", format_.limits.min_m},
