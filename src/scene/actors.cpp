@@ -78,7 +78,9 @@ bool has_class(const std::string& class_list, const BoxTrack& box) {
 bool is_actor(const BoxTrack& box, const InitOptions& options) {
     if (options.unlabelled_movers == UnlabelledMoverPolicy::actors && is_discovered(box)) return true;
     if (!options.actor_tracks.empty()) return has_word(options.actor_tracks, box.id);
-    return has_class(options.actor_classes, box);
+    // The class of a mover without a label is a guess, so a list does not select it.
+    return options.actor_classes == kEveryClass ||
+           (!is_discovered(box) && has_class(options.actor_classes, box));
 }
 
 /// Checks that the size of a box is positive and that all its poses are finite.
