@@ -379,6 +379,7 @@ rendering() {
     good render run --out pictures --frames 2:3 --camera camera.json --format npz,png --only background --force
     check "render kept pictures of an earlier rendering" test "$(ls pictures | wc -l)" = 4
     for option in "--sensor VLP-16" "--sample 1" "--weather fog=50" "--merge" "--vehicle log"; do
+        # shellcheck disable=SC2086
         bad 2 "camera.*${option%% *}" render run --out x --camera camera.json $option
     done
     bad 2 "--camera camera.json: .*--format pcap" render run --out x --camera camera.json --format pcap

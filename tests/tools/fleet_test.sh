@@ -179,7 +179,7 @@ moved_copies() {
     cat >bin/relidar_notes <<'STAND_IN'
 #!/bin/sh
 case $1 in
-info) echo '{"log": {"boxes": [{"id": "0", "surfels": 5}]}}' ;;
+info) echo '{"log": {"boxes": [{"id": "0", "class": "Car", "surfels": 5}]}}' ;;
 export) printf 'x,y,yaw_deg\n0,0,0\n' >"$4" ;;
 edit)
     n=0

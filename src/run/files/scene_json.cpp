@@ -296,7 +296,11 @@ SceneJsonContents parse_scene(const std::string& json_text, const std::string& f
         log.start_unix_ns = root.at("start_unix_ns").integer_in(0, kLatestLogStart_ns);
     log.notes = root.at("notes").list([](const JsonField& note) { return Note(note.text()); });
     log.world_offset_m = root.at("world_offset_m").vector_in(-kMaxWorldOffset_m, kMaxWorldOffset_m);
-    if (root.has_member("cameras")) log.cameras = root.at("cameras").list(read_camera);
+    const auto read_whole_camera = [](const JsonField& camera) {
+        for (const char* key : {"name", "translation_m", "quaternion"}) (void)camera.at(key);
+        return read_camera(camera);
+    };
+    if (root.has_member("cameras")) log.cameras = root.at("cameras").list(read_whole_camera);
     if (root.has_member("georeference")) log.georeference = read_georeference(root.at("georeference"));
     if (root.has_member("labelled_azimuth_rad"))
         log.labelled_azimuth = read_azimuths(root.at("labelled_azimuth_rad"));

@@ -183,7 +183,9 @@ std::string encode_detections(const RecordedSweep& sweep) {
     for (const RecordedActor& actor : sweep.actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
         // one class with a score of 1, because the class is known exactly
-        cdr.add_number(std::uint32_t(1)).append_string(name_of(class_of(*actor.box))).add_number(1.0);
+        cdr.add_number(std::uint32_t(1))
+            .append_string(is_discovered(*actor.box) ? name_of(class_of(*actor.box)) : actor.box->category)
+            .add_number(1.0);
         add_pose(cdr, actor.faced.world_from_object);
         add_covariance(cdr);
         add_pose(cdr, actor.faced.world_from_object);
